@@ -168,7 +168,7 @@ def one(
     loops, begun, used = Loops(device, repeat), time.perf_counter(), time.process_time()
     loops.measure(
         f"{size[0]}x{size[1]}, {bands} bands",
-        lambda k: program.update(scene=scenes[k % 2]).raw(seed=1, frame=k),
+        lambda k: program.update(scene=scenes[k % 2]).raw(seed=1, first=k),
     )
     busy = (time.process_time() - used) / (time.perf_counter() - begun)
     most, plan = peak.bytes, program.plan

@@ -156,7 +156,7 @@ def _baseline(loops, simulator, scenes):
 
     def ours():
         for k in range(3):
-            program.update(scene=scenes.cubes[k]).raw(seed=1, frame=k)
+            program.update(scene=scenes.cubes[k]).raw(seed=1, first=k)
         device.sync()
 
     slow, fast = "baseline: NumPy and SciPy, cube -> raw", "new cube, alternating"
@@ -176,7 +176,7 @@ def _baseline(loops, simulator, scenes):
 def _differing(simulator, scene, output, last, number):
     """Return the number of values that differ from the output of a program for only this scene."""
     fresh = simulator.program(scene, SECONDS)
-    again = np.array(simulator.device.numpy(getattr(fresh, output)(seed=1, frame=number)))
+    again = np.array(simulator.device.numpy(getattr(fresh, output)(seed=1, first=number)))
     return f"{np.count_nonzero(again != last)} of {last.size} values differ"
 
 
@@ -188,7 +188,7 @@ def _scenes(loops, simulator, scenes, only):
         program = simulator.program(given[0], SECONDS)
 
         def frame(k, program=program, given=given, output=output):
-            return getattr(program.update(scene=given[k % 3]), output)(seed=1, frame=k)
+            return getattr(program.update(scene=given[k % 3]), output)(seed=1, first=k)
 
         def check(program=program, frame=frame, given=given, output=output):
             last = np.array(device.numpy(frame(4)))
@@ -226,9 +226,7 @@ def _transfers(loops, simulator, scenes, only):
 def _changes(loops, simulator, base, scenes, only):
     exposure = simulator.expose(scenes.materials[0], SECONDS)
     if only in "draw of a kept exposure":
-        loops.measure(
-            "draw of a kept exposure", lambda k: simulator.draw(exposure, seed=1, frame=k)
-        )
+        loops.measure("draw of a kept exposure", lambda k: exposure.raw(seed=1, first=k))
     for name, change in changes(base).items():
         if only not in f"{name} -> codes":
             continue
@@ -236,7 +234,7 @@ def _changes(loops, simulator, base, scenes, only):
         loops.measure(
             f"{name} -> codes",
             lambda k, program=program, change=change: program.update(**change(k)).codes(
-                seed=1, frame=k
+                seed=1, first=k
             ),
         )
 

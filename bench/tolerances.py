@@ -124,7 +124,7 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
 def frames(program, scenes, count):
     """Compute raw values of `count` new scenes."""
     for k in range(count):
-        program.update(scene=scenes[k % 2]).raw(seed=1, frame=k)
+        program.update(scene=scenes[k % 2]).raw(seed=1, first=k)
     program.simulator.device.sync()
 
 
@@ -132,7 +132,7 @@ def stages(program, scenes) -> float:
     """Return the milliseconds of all stages of a frame, including codes: the median of a few."""
     return float(
         np.median(
-            [program.update(scene=scenes[k % 2]).frame(seed=1, frame=k).report.ms for k in range(5)]
+            [program.update(scene=scenes[k % 2]).frame(seed=1, first=k).report.ms for k in range(5)]
         )
     )
 

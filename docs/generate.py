@@ -93,6 +93,7 @@ SAID = {
 GROUPS = {  # by the module of a public name, in the order of the page
     "Simulate": (
         "pipeline.simulator",
+        "pipeline.exposure",
         "pipeline.frame",
         "pipeline.program",
         "pipeline.report",

@@ -9,8 +9,8 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from gpusim import pipeline
 from gpusim.domain import labels
-from gpusim.pipeline import truths
 
 __version__ = "0.1.0"
 
@@ -60,6 +60,7 @@ _NAMES = {
     "io.scene.arrays": "scene_from",
     "io.scene.scenes": "open_scene save_scene picture",
     "measure": "photon_transfer",
+    "pipeline.exposure": "Exposure",
     "pipeline.frame": "Frame",
     "pipeline.program": "Program",
     "pipeline.readout": "Readout",
@@ -118,6 +119,7 @@ if TYPE_CHECKING:
     from gpusim.domain.spectrum import Spectrum as Spectrum
     from gpusim.domain.tolerance import Tolerance as Tolerance
     from gpusim.domain.view import View as View
+    from gpusim.pipeline.exposure import Exposure as Exposure
     from gpusim.pipeline.frame import Frame as Frame
     from gpusim.io.scene.arrays import scene_from as scene_from
     from gpusim.io.frame.events import write_events as write_events
@@ -131,7 +133,7 @@ if TYPE_CHECKING:
 
 # Lower packages get access to higher ones here. They are loaded when they are needed.
 labels.load = partial(import_module, "gpusim.plot.notebook")
-truths.load = partial(import_module, "gpusim.judge.truth")
+pipeline.load_truth = partial(import_module, "gpusim.judge.truth")
 
 
 def __getattr__(name):

@@ -20,7 +20,7 @@ def made_on(device, tolerance=4e-4, camera="phone") -> dict:
     program, found = simulator.program(first[0], SECONDS), {}
     for number in range(3):  # noted, and replayed
         with device.timed() as ms:
-            found[f"raw {number}"] = program.raw(seed=3, frame=number)
+            found[f"raw {number}"] = program.raw(seed=3, first=number)
         assert ms and all(spent >= 0 for spent in ms.values())
     found["codes"], found["irradiance"] = program.codes(seed=3), program.output("irradiance")
     found["another scene"] = program.update(scene=first[1]).raw(seed=3)

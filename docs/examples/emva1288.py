@@ -44,7 +44,7 @@ def frames(count, photons, seconds=1e-3):
     """Return frames of 128 x 192 pixels. photons: mean number per pixel."""
     mean = np.full((128, 192), sheet["quantum_efficiency"] * photons, np.float32)
     return np.stack(
-        [readout.draw_electrons(mean, seconds, seed=1, frame=next(numbers)) for _ in range(count)]
+        [readout.draw_electrons(mean, seconds, seed=1, first=next(numbers)) for _ in range(count)]
     )
 
 

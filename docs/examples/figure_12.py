@@ -31,12 +31,12 @@ lights = {
 }
 scenes = {light: gs.chart("colorchecker", size=(240, 160), light=light) for light in lights}
 exposure = simulate.expose(scenes["A"])
-raw = simulate.draw(exposure, seed=1)
+raw = exposure.raw(seed=1)
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 2.9), layout="constrained")
 for axis, (light, title) in zip(axes, lights.items(), strict=True):
     believed = dataclasses.replace(exposure, rendering=simulate.expose(scenes[light]).rendering)
-    codes = simulate.device.numpy(simulate.develop(raw, believed)[1])
+    codes = simulate.device.numpy(believed.develop(raw)[1])
     axis.imshow(codes.copy())
     axis.set_title(title)
     axis.set_axis_off()

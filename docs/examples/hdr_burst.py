@@ -97,7 +97,7 @@ dim = gs.picture(data.coffee()[60:260, 100:400], luminance=15)
 steady = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=5, scaling="normalised"))
 burst = gs.burst(steady, [dim.viewed(hand.at(number * 0.005)) for number in range(8)], seed=4)
 slow = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=40, scaling="normalised"))
-blurred = next(slow.shoot(gs.expose_motion(slow, dim, hand), seed=4))
+blurred = gs.expose_motion(slow, dim, hand).frame(seed=4)
 
 figure, axes = plt.subplots(1, 3, figsize=(11, 2.8), layout="constrained")
 for axis, (frame, title) in zip(

@@ -70,7 +70,7 @@ def with_electrons(exposure, mean):
 electrons = simulate.device.numpy(exposure.mean)
 figure, axes = plt.subplots(1, 3, figsize=(11, 2.8), layout="constrained")
 for axis, part in zip(axes, (0.0, 0.03, 0.1), strict=True):
-    frame = next(simulate.shoot(with_electrons(exposure, crosstalk(electrons, part)), seed=1))
+    frame = with_electrons(exposure, crosstalk(electrons, part)).frame(seed=1)
     axis.imshow(frame.rgb)
     axis.set_title(f"{100 * part:.0f} % to each neighbour")
     axis.set_axis_off()

@@ -11,7 +11,7 @@ camera = gs.open_camera("phone").with_(exposure_time_ms=10, analog_gain=4)
 simulate, sensor = gs.Simulator(camera, tolerance="video"), camera.sensor
 for number, path in enumerate(sorted(Path("photos").glob("*.png"))):
     frame = simulate(
-        gs.open_scene(path, luminance=50), seed=1, frame=number
+        gs.open_scene(path, luminance=50), seed=1, first=number
     )  # each frame has independent noise
     noisy = (
         frame.raw.astype(np.float32) - sensor.black_level

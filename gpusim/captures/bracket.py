@@ -9,8 +9,8 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.exposure import bracket_times, checked_time
 from gpusim.domain.scene import Scene
 from gpusim.kernels.sensor.chip import chip
-from gpusim.pipeline.frame import Exposure, Frame
-from gpusim.pipeline.program import expose_mean
+from gpusim.pipeline.exposure import Exposure, expose_mean
+from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -54,7 +54,7 @@ def bracket(
         if number == 0:
             ms, wall_ms = metered.ms | exposure.ms, metered.wall_ms + exposure.wall_ms
             exposure = dataclasses.replace(exposure, ms=ms, wall_ms=wall_ms)
-        frames += simulator.shoot(exposure, seed=seed, first=first + number)
+        frames.append(exposure.frame(seed=seed, first=first + number))
     return frames
 
 

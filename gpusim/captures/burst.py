@@ -6,7 +6,8 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.scene import Scene
-from gpusim.pipeline.frame import Exposure, Frame
+from gpusim.pipeline.exposure import Exposure
+from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -44,13 +45,16 @@ def burst(
     views = [scenes] if isinstance(scenes, Scene) else list(scenes)
     if not views:
         raise BadData("burst: no scenes; wanted one or more")
-    metered = simulator.expose(views[0], plan=plan)
-    how, exposures = (metered.exposure_time, metered.gain, plan), [metered]
-    exposures += [simulator.expose(view, *how) for view in views[1:]]
-    frames: list[Frame] = []
-    for exposure in exposures:
-        frames += simulator.shoot(exposure, count, seed=seed, first=first + len(frames))
-    return frames
+    exposures = [simulator.expose(views[0], plan=plan)]
+    exposures += [
+        simulator.expose(view, exposures[0].exposure_time, exposures[0].gain, plan)
+        for view in views[1:]
+    ]
+    return [
+        frame
+        for number, exposure in enumerate(exposures)
+        for frame in exposure.frames(count, seed=seed, first=first + number * count)
+    ]
 
 
 def average(

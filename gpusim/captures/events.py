@@ -254,6 +254,6 @@ def events_of(
     def rates():
         for time in times:
             program.update(scene=scene.viewed(motion.at(time)))
-            yield np.array(simulator.device.numpy(program.output("mean", seed=0, frame=0)))
+            yield np.array(simulator.device.numpy(program.output("mean", seed=0, first=0)))
 
     return sensor.events(times, rates())

@@ -167,7 +167,7 @@ class _Trials:
             focused = replace(simulator.camera.optics, object_distance=_distance(vergence))
             program = self._program.update(camera=replace(simulator.camera, optics=focused))
             exposure = program.exposure
-            raw = program.raw(seed=self._seed, frame=len(self.found))
+            raw = program.raw(seed=self._seed, first=len(self.found))
             raw = exposure.split_layers(np.asarray(simulator.device.numpy(raw)))
             # for the next trials
             program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)

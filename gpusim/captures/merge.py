@@ -16,9 +16,9 @@ from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
 from gpusim.measure.merge import MARGIN
 from gpusim.pipeline.developer import CLIPPED, STANDS_OUT, Developer
+from gpusim.pipeline.exposure import HOT
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
-from gpusim.pipeline.shots import HOT
 from gpusim.pipeline.simulator import Simulator
 
 # fields of a sensor that frames of one camera have in common

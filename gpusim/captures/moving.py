@@ -17,10 +17,9 @@ from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.optics.shutter import shutter_weights
-from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.exposure import Exposure, expose_mean
 from gpusim.pipeline.metering import choose_exposure, meter_light, metering_numbers
 from gpusim.pipeline.planning import adopt_plan, probes_for
-from gpusim.pipeline.program import expose_mean
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.choices import Goal
 from gpusim.planner.plan import Plan

@@ -14,7 +14,7 @@ def read_nondestructively(
     times: ArrayLike,
     *,
     seed: int = 0,
-    frame: int = 0,
+    first: int = 0,
     plan: Plan | None = None,
 ) -> np.ndarray:
     """Return the raw values of reads that leave the charge in the pixels.
@@ -26,7 +26,7 @@ def read_nondestructively(
         scene: scene to capture.
         times: times of the reads since the reset [s], rising; the last one is the exposure time.
         seed: seed of the noise.
-        frame: number of the frame.
+        first: number of the frame.
         plan: plan to use; None plans the scene. See `Simulator`.
 
     Returns:
@@ -38,6 +38,13 @@ def read_nondestructively(
     """
     checked: np.ndarray = simulator.readout.checked_reads(times)
     exposure = simulator.expose(scene, float(checked[-1]), plan=plan)
-    light = exposure.mean, exposure.exposure_time
-    how = {"gain": exposure.gain, "seed": seed, "frame": frame}
-    return exposure.split_layers(simulator.readout.nondestructive(*light, checked, **how))
+    return exposure.split_layers(
+        simulator.readout.nondestructive(
+            exposure.mean,
+            exposure.exposure_time,
+            checked,
+            gain=exposure.gain,
+            seed=seed,
+            first=first,
+        )
+    )

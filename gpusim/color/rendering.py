@@ -119,7 +119,7 @@ def render_exposure(
 
     Args:
         colors: The transforms.
-        sensor: The sensor as operated (see `gpusim.pipeline.frame.Exposure`).
+        sensor: The sensor as operated (see `gpusim.pipeline.exposure.Exposure`).
         scaling: Scaling of the processor.
         pixels: Number of pixels whose charge is added to one.
         exposure_time: Exposure time [s].

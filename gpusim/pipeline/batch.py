@@ -2,20 +2,22 @@
 
 from collections.abc import Iterable
 from math import prod
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.domain.camera import Camera, checked_camera
-from gpusim.domain.errors import BadData, DoesNotFit, UnknownName, checked_count
+from gpusim.domain.errors import BadData, DoesNotFit, checked_count
 from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.pipeline.cache import Cache, same
-from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import plan_inputs
-from gpusim.pipeline.program import Program, SharedOptics
+from gpusim.pipeline.program import Program, SharedOptics, checked_output
 from gpusim.planner.plan import Plan
+
+if TYPE_CHECKING:
+    from gpusim.pipeline.simulator import Simulator
 
 MOST = 2**16  # items; each has a program
 
@@ -30,7 +32,7 @@ class Batch:
     Args:
         simulator: The Simulator.
         count: Number of items.
-        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+        output: A key of `gpusim.pipeline.program.OUTPUTS`.
         planned_for: Scene whose plan is used for all scenes of its kind that it fits, in any order of calls. Other
             scenes get their own plans. None reuses plans of earlier scenes.
         plan: Plan for all frames, see `Program`.
@@ -45,15 +47,14 @@ class Batch:
 
     def __init__(
         self,
-        simulator: Any,
+        simulator: "Simulator",
         count: int,
         output: str = "codes",
         planned_for: Scene | None = None,
         plan: Plan | None = None,
     ):
-        if output not in [*OUTPUTS]:
-            raise UnknownName("output", str(output), OUTPUTS)
-        self.count, self.output = checked_count("count of a batch", count, 1, MOST), output
+        self.output = checked_output(output)
+        self.count = checked_count("count of a batch", count, 1, MOST)
         self._simulator, self._cache = simulator, Cache(simulator.device)
         self._items: list[Program | None] = [None] * self.count
         self._planned_for, self._plan = None if plan is not None else planned_for, plan
@@ -70,7 +71,7 @@ class Batch:
         exposure_time: float | Iterable[float] | None = None,
         gain: float | Iterable[float] = 1.0,
         seed: int | Iterable[int] = 0,
-        frame: int | Iterable[int] = 0,
+        first: int | Iterable[int] = 0,
     ) -> Any:
         """Return frames of the scenes. The next call overwrites the array.
 
@@ -83,7 +84,7 @@ class Batch:
             exposure_time: Exposure times [s]; None uses the camera's, see `Simulator.expose`.
             gain: Analog gains, next to the sensor's [1].
             seed: Seeds of the noise.
-            frame: Numbers of the frames. One number is for the first item; the others count up from it.
+            first: Numbers of the frames. One number is for the first item; the others count up from it.
 
         Returns:
             A device array (count, ...) of the type of one frame.
@@ -99,11 +100,11 @@ class Batch:
             "exposure_time": exposure_time,
             "gain": gain,
             "seed": seed,
-            "frame": frame,
+            "first": first,
         }
         values = {name: one_each(name, value, self.count) for name, value in given.items()}
-        if isinstance(frame, int | np.integer):
-            values["frame"] = [frame + item for item in range(self.count)]
+        if isinstance(first, int | np.integer):
+            values["first"] = [first + item for item in range(self.count)]
         sizes = {scene.shape for scene in map(checked_scene, values["scenes"])}
         if len(sizes) > 1:
             raise BadData(
@@ -112,38 +113,36 @@ class Batch:
                 + " pixels; wanted one size"
             )
         try:
-            return self._frames(values)
+            return self._frames([*zip(*values.values(), strict=True)])
         except BaseException:
             # unfinished checks must not reach the next call
             self._items = [None] * self.count
             raise
 
-    def _frames(self, values):
-        programs, frames, plans = [], [], []
-        for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(
-            zip(*values.values(), strict=True)
-        ):
-            program = self._program(item, own, by).update(
-                scene=own, exposure_time=its_time, gain=its_gain
-            )
-            if not item:
-                self._require_memory(program.plan)
-            programs.append(program)
-            frames.append(program.output(self.output, seed=its_seed, frame=number))
+    def _frames(self, rows):
+        """Return a frame of each scene with its camera, exposure time, gain, seed and number."""
+        device, frames, plans = self._simulator.device, [], []
+        for item, (scene, camera, seconds, gain, seed, number) in enumerate(rows):
+            program = self._program(item, scene, camera)
+            program.update(scene=scene, exposure_time=seconds, gain=gain)
+            if not item:  # the items' arrays and the memory of one frame
+                plan = program.plan
+                needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
+                if needed > device.memory:
+                    size = "x".join(map(str, scene.shape[::-1]))
+                    what = f"a batch of {self.count} frames of {size}"
+                    raise DoesNotFit(what, needed, device.memory, device.name)
+            frames.append(program.output(self.output, seed=seed, first=number))
             plans.append(program.plan)
-        if self._planned_for is not None:
-            for item, (own, by, its_time, its_gain, its_seed, number) in enumerate(
-                zip(*values.values(), strict=True)
-            ):
-                programs[item].judge()
+        checked = rows if self._planned_for is not None else ()
+        for item, (scene, camera, seconds, gain, seed, number) in enumerate(checked):
+            self._items[item].judge()
+            if self._items[item].before.plan is None:
                 # the plan does not fit: make the frame with a new program, for this call only
-                if programs[item].before.plan is None:
-                    self._items[item] = None
-                    programs[item] = Program(
-                        self._simulator.apart(by, Cache()), own, its_time, its_gain
-                    )
-                    frames[item] = programs[item].output(self.output, seed=its_seed, frame=number)
-                    plans[item] = programs[item].plan
+                self._items[item] = None
+                program = Program(self._simulator.apart(camera, Cache()), scene, seconds, gain)
+                frames[item] = program.output(self.output, seed=seed, first=number)
+                plans[item] = program.plan
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
             raise BadData(
@@ -151,7 +150,7 @@ class Batch:
                 "frames have one shape"
             )
         self.plans = plans
-        return self._cache("frames", stack_frames, *frames, device=self._simulator.device)
+        return self._cache("frames", stack_frames, *frames, device=device)
 
     def judge(self) -> None:
         """Wait for the device's measurements of the scenes, see `Program.judge`.
@@ -178,37 +177,20 @@ class Batch:
                 return program.update(camera=camera)
             program.judge()  # its last call
         in_use = [other for other in self._items if other is not None and other is not program]
-        other_program = next(filter(has_same_plan, in_use), None)
-        tables = (
-            other_program.simulator.tables
-            if other_program
-            else Cache()
-            if in_use
-            else self._simulator.tables
-        )
+        twin = next(filter(has_same_plan, in_use), None)
+        tables = twin.simulator.tables if twin else Cache() if in_use else self._simulator.tables
         simulator = self._simulator.apart(camera, tables)
-        shared = other_program is not None and self._planned_for is None
         program = self._items[item] = Program(
             simulator,
             self._planned_for or scene,
-            before=other_program.before if shared else SharedOptics(simulator.device),
+            before=twin.before
+            if twin and self._planned_for is None
+            else SharedOptics(simulator.device),
             plan=self._plan,
         )
         if self._planned_for is not None:
             program.plan  # noqa: B018  makes the plan for all later scenes
         return program
-
-    def _require_memory(self, plan):
-        """Raise DoesNotFit if the items' arrays and the memory of one frame do not fit together."""
-        (rows, cols), device = plan.scene.shape, self._simulator.device
-        needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
-        if needed > device.memory:
-            raise DoesNotFit(
-                f"a batch of {self.count} frames of {cols}x{rows}",
-                needed,
-                device.memory,
-                device.name,
-            )
 
 
 def stack_frames(*frames, device) -> Any:
@@ -221,7 +203,7 @@ def bytes_of_item(plan: Plan, output: str) -> int:
 
     Args:
         plan: Plan of the item.
-        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+        output: A key of `gpusim.pipeline.program.OUTPUTS`.
 
     Returns:
         The memory [byte].

@@ -48,15 +48,14 @@ class Cache:
 
     def __init__(self, device: Device | None = None):
         self._device = None if device is None or device.kind == "numpy" else device
+        # True if repeated computations overwrite the arrays of the last ones
+        self.is_taped = self._device is not None
+        # of the arrays whose contents have versions
+        self._array_type = () if self._device is None else self._device.array_type
         self._entries: dict[str, tuple[Any, Any, Tape | None]] = {}
         self._token = object()
         # token of the `gpusim.pipeline.step.Values` that used the cache last
         self.user: object | None = None
-
-    @property
-    def is_taped(self) -> bool:
-        """True if repeated computations overwrite the arrays of the last ones."""
-        return self._device is not None
 
     def __call__(self, name: str, function: Callable, *args, **kwargs) -> Any:
         """Return `function(*args, **kwargs)`, computed only if an argument has changed since the last call.
@@ -122,8 +121,8 @@ class Cache:
     def with_versions(self, value):
         """Return a value for a key: device arrays get the version of their contents."""
         if type(value) is tuple or type(value) is list:
-            return tuple([self.with_versions(part) for part in value])
-        if self._device is not None and isinstance(value, self._device.array_type):
+            return tuple(map(self.with_versions, value))
+        if isinstance(value, self._array_type):
             return One(value, _OWNERS.get(value, NOBODY)[1])
         return value
 
@@ -160,18 +159,15 @@ class Cache:
         if before is not value:
             for part in before if isinstance(before, tuple) else (before,):
                 if (
-                    self._is_array(part)
+                    isinstance(part, self._array_type)
                     and _OWNERS.get(part, NOBODY)[0] == own
                     and not any(part is other for other in parts)
                 ):
                     del _OWNERS[part]
         for part in parts:
             # an array passed on from another step keeps its version
-            if self._is_array(part) and _OWNERS.get(part, (own, 0))[0] == own:
+            if isinstance(part, self._array_type) and _OWNERS.get(part, (own, 0))[0] == own:
                 _OWNERS[part] = own, next(_VERSIONS)
-
-    def _is_array(self, value):
-        return self._device is not None and isinstance(value, self._device.array_type)
 
     def __reduce__(self):
         return Cache, (self._device,)  # empty

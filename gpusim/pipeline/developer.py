@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import prod
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -35,27 +36,25 @@ from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
+# of a rendering: the camera values of white; the colour matrix with its ceiling
+NEUTRAL, COLORS = attrgetter("neutral"), attrgetter("display_from_camera", "ceiling")
 CLIPPED = 0.95  # share of saturation: values interpolated next to a clipped pixel lie just below it
 
 
 @dataclass(frozen=True)
 class _Numbers:
-    """The scale of digital numbers: black and white [DN], and the noise (see `Developer.noise`)."""
+    """Digital numbers: their black level [DN], 1 / (white - black), and their noise (see `Developer.noise`)."""
 
     black: float
-    white: float
+    scale: float
     noise: tuple[float, float]
-
-    @property
-    def scale(self):
-        return 1 / (self.white - self.black)
 
     def on_corrected_scale(self):
         """Return the numbers on the scale of corrected mosaics."""
+        gain, dark = self.noise
         span = (CORRECTED_WHITE - CORRECTED_BLACK) * self.scale
-        return _Numbers(
-            CORRECTED_BLACK, CORRECTED_WHITE, (self.noise[0] * span, self.noise[1] * span)
-        )
+        scale = 1 / (CORRECTED_WHITE - CORRECTED_BLACK)
+        return _Numbers(CORRECTED_BLACK, scale, (gain * span, dark * span))
 
 
 def edges_of(display: Display, tone) -> np.ndarray:
@@ -70,7 +69,7 @@ class Developer:
     """The image processor of a camera on a device.
 
     Args:
-        camera: The camera as operated (see `gpusim.pipeline.frame.Exposure`).
+        camera: The camera as operated (see `gpusim.pipeline.exposure.Exposure`).
         device: Its device.
         averaged: Number of raw values whose mean each value is (digital binning).
         cache: Cache of colour transforms and code thresholds; by default its own.
@@ -116,18 +115,22 @@ class Developer:
         numbers = self._correct(chain, pixels)
         self._demosaic(chain, numbers, pixels)
         steps = [
-            Step("neutral", "", ("rendering",), run=neutral_of, rate=Rate.EXPOSURE),
+            Step("neutral", "", ("rendering",), run=NEUTRAL, rate=Rate.EXPOSURE),
             *chain.end(),
         ]
-        rendered = "rendering"
         if processor.estimates_white:
-            rendered = "picture rendering"
             steps.append(self._white_step())
-        steps.append(Step("colors", "", (rendered,), run=colors_of, rate=Rate.FRAME))
+        # not the whole rendering, which changes with every exposure
+        steps.append(Step("colors", "", (rendering_name(camera),), run=COLORS, rate=Rate.FRAME))
         area = pixels // (len(camera.sensor.channels) if camera.sensor.stacked else 1)
         chain = Chain("camera", "linear", Rate.FRAME, device)
         chain.add(
-            "processor.color", {}, "colors", run=apply_colors, nbytes=12 * area, work=float(pixels)
+            "processor.color",
+            {},
+            "colors",
+            run=apply_colors,
+            nbytes=12 * area,
+            work=float(pixels),
         )
         steps += chain.end()
         chain = Chain("linear", "codes", Rate.FRAME, device)
@@ -164,7 +167,9 @@ class Developer:
         sensor, processor = self.camera.sensor, self.camera.processor
         layers = len(sensor.channels) if sensor.stacked else 1
         mosaic = np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices
-        numbers = _Numbers(sensor.dark_level, sensor.white_level, self.noise)
+        numbers = _Numbers(
+            sensor.dark_level, 1 / (sensor.white_level - sensor.dark_level), self.noise
+        )
 
         def add(stage, run, constants, *others, words="", nbytes=2 * pixels):
             constants = {"correct": run, "layers": layers, **constants}
@@ -291,9 +296,7 @@ class Developer:
     def _places(self):
         """Indices of the red, green and blue channels; None if one is missing."""
         channels = self.camera.sensor.channels
-        if not {*"RGB"} <= {*channels}:
-            return None
-        return tuple(channels.index(letter) for letter in "RGB")
+        return tuple(map(channels.index, "RGB")) if {*"RGB"} <= {*channels} else None
 
     def _white_step(self) -> Step:
         """Return the step that renders for a white that is estimated from the picture."""
@@ -334,17 +337,16 @@ class Developer:
         Returns:
             An array of the device.
         """
-        values = Values({rate: Cache() for rate in Rate})
         processor = replace(self.camera.processor, shading=shading is not None)
         own = replace(self.camera, processor=processor)
         developer = Developer(own, self.device, self.averaged, self._cache)
-        values.use(developer.steps(tuple(raw.shape)))
+        values = Values.of(developer.steps(tuple(raw.shape)))
         values.give(raw=raw, neutral=white, defects=known, shading=shading, blur=blur)
         return values["camera"]
 
     def apply_color(self, planes, rendering: Rendering) -> Any:
         """Return linear display RGB (3, rows, cols), before the tone curve."""
-        return apply_colors(planes, colors_of(rendering), device=self.device)
+        return apply_colors(planes, COLORS(rendering), device=self.device)
 
     def encode(self, linear_rgb) -> Any:
         """Return display codes (rows, cols, 3) of linear display RGB."""
@@ -407,23 +409,17 @@ def balance_of(white, places) -> tuple[float, float]:
     """
     if white is None or places is None:
         return 1.0, 1.0
-    red, green, blue = (float(white[place]) for place in places)
+    red, green, blue = white[list(places)].tolist()
     if not green > 0:
         return 1.0, 1.0
     # limits the gain of a channel that hardly responds to white
-    most = MOST_BALANCE
-    red, blue = (min(max(other, green / most), green * most) for other in (red, blue))
-    return green / red, green / blue
+    least, most = green / MOST_BALANCE, green * MOST_BALANCE
+    return green / min(max(red, least), most), green / min(max(blue, least), most)
 
 
-def neutral_of(rendering: Rendering) -> np.ndarray:
-    """Return the camera values of white."""
-    return rendering.neutral
-
-
-def colors_of(rendering: Rendering) -> tuple:
-    """Return a rendering's colour matrix and ceiling."""
-    return rendering.display_from_camera, rendering.ceiling
+def rendering_name(camera: Camera) -> str:
+    """Return the name of the value that is the rendering of a camera's pictures."""
+    return "picture rendering" if camera.processor.estimates_white else "rendering"
 
 
 def apply_colors(planes, colors, *, device) -> Any:

@@ -1,4 +1,4 @@
-"""Results of a simulation: the noise-free exposure of a scene, and one picture."""
+"""One simulated picture."""
 
 import dataclasses
 from dataclasses import dataclass
@@ -7,7 +7,6 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from gpusim.backends import Device
 from gpusim.color.camera_profile import color_profile
 from gpusim.color.encoding import decoding
 from gpusim.color.rendering import Rendering
@@ -17,89 +16,20 @@ from gpusim.domain.labels import Pictured
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.io.frame.frames import write_frame
 from gpusim.pipeline.report import Report
-from gpusim.planner.plan import Plan
 
-ON_DEVICE = ("mean", "chip_mean")  # device arrays of an exposure
 T = TypeVar("T")
 
 
-@dataclass(frozen=True, eq=False)
-class Exposure:
-    """The noise-free exposure of a scene. It is computed once; noisy frames are drawn from it.
+class Parts:
+    """Computes parts of a frame at their first use."""
 
-    A pickle holds the arrays' values and the device's name; the device is opened when it is loaded. `np.asarray`
-    returns the mean electrons.
-
-    Attributes:
-        plan: Plan of the scene.
-        camera: The camera as operated: its sensor is binned and has the chosen analog gain.
-        mean: Mean electrons of each pixel before binning, a device array (rows, cols) or, for stacked pixels, (C, rows,
-            cols) [e-].
-        chip_mean: The same with the chip's fixed pattern; noise is added to it, see `Readout.chip_mean` [e-].
-        exposure_time: Exposure time [s].
-        gain: Analog gain chosen by automatic exposure [1].
-        rendering: Conversion of camera values to colours, for the known or assumed light.
-        blur: Standard deviation of the lens blur as a Gaussian, if the camera uses it [pixel].
-        shading: Gains of the shading correction at its nodes, if the camera uses them.
-        ms: Milliseconds per stage.
-        wall_ms: Milliseconds in all, planning included.
-        device: Device of the arrays.
-        is_rewritten: True if a program will write to these arrays again.
-    """
-
-    plan: Plan
-    camera: Camera
-    mean: Any
-    chip_mean: Any
-    exposure_time: float
-    gain: float
-    rendering: Rendering
-    blur: float = 0.0
-    shading: np.ndarray | None = None
-    ms: dict = dataclasses.field(default_factory=dict)
-    wall_ms: float = 0.0
-    device: Device = dataclasses.field(default_factory=Device)
-    is_rewritten: bool = False
-
-    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        return np.array(self.mean, dtype, copy=copy)
-
-    def __repr__(self):
-        return shorten_repr(
-            f"Exposure({self.plan.scene.name} by {self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "
-            f"gain {self.gain:g}, mean {tuple(self.mean.shape)} on {self.device.name})"
-        )
-
-    def split_layers(self, raw: Any) -> Any:
-        """Return raw values with the layers of stacked pixels on an axis.
-
-        Args:
-            raw: Raw values (..., rows, cols), layers below each other.
-
-        Returns:
-            Raw values (..., C, rows, cols); for other sensors unchanged.
-        """
-        return raw.reshape(*raw.shape[:-2], *self.mean.shape[:-2], -1, raw.shape[-1])
-
-    def __getstate__(self):
-        return self.__dict__ | {
-            name: np.array(self.device.numpy(getattr(self, name))) for name in ON_DEVICE
-        }
-
-    def __setstate__(self, state):
-        arrays = {name: state["device"].array(state[name], state[name].dtype) for name in ON_DEVICE}
-        self.__dict__.update(state, **arrays, is_rewritten=False)
-
-
-class Later:
-    """A value that is computed at its first use."""
-
-    def __init__(self, make):
-        self.make = make
+    def compute(self, name: str, frame: "Frame") -> Any:
+        """Return a part by the name of its field."""
+        raise NotImplementedError
 
 
 class _Made(Generic[T]):
-    """A field that also accepts a Later as its value."""
+    """A field that also accepts Parts, which compute its value."""
 
     def __set_name__(self, owner, name):
         self.name = name
@@ -108,11 +38,11 @@ class _Made(Generic[T]):
         if frame is None:
             raise AttributeError(self.name)  # for `dataclass`: the field has no default
         value = vars(frame)[self.name]
-        if isinstance(value, Later):
-            value = vars(frame)[self.name] = value.make()
+        if isinstance(value, Parts):
+            value = vars(frame)[self.name] = value.compute(self.name, frame)
         return value
 
-    def __set__(self, frame, value: T | Later) -> None:
+    def __set__(self, frame, value: T | Parts) -> None:
         vars(frame)[self.name] = value
 
 
@@ -158,7 +88,7 @@ class Frame(Pictured):
         parts = [
             f"{name} {part.dtype} {part.shape}"
             for name, part in made.items()
-            if not isinstance(part, Later)
+            if not isinstance(part, Parts)
         ]
         return shorten_repr(
             f"Frame({self.camera.name}, {1e3 * self.exposure_time:.4g} ms, "

@@ -1,10 +1,12 @@
 """Automatic exposure: the device computes statistics of the light, the host chooses exposure time and gain."""
 
+from functools import partial
 from math import prod
 from typing import Any
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.domain.exposure import AutoExposure, LightStatistics
 from gpusim.domain.sensor import Sensor
 from gpusim.kernels.sensor.meter import meter
@@ -19,38 +21,34 @@ def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
     """Return the steps that measure the light.
 
     They make "metered" (exposure time [s] and gain for the electrons "per second"), "light" (statistics of the mean
-    electrons) and "survey" (the input of `Plan.watch` for another scene).
+    electrons) and "survey" (the input of the plan's Watch for another scene).
     """
     device = readout.device
     automatic, content = sensor.auto_exposure, plan.content
     layers = len(sensor.channels) if sensor.stacked else 1
-    looked = {
-        name: Step(
-            name,
-            "sensor.meter",
-            (electrons,),
-            {"automatic": automatic, "device": device},
-            rate=Rate.EXPOSURE,
-            work=float(prod(plan.scene.shape) * layers),
-            run=meter_light,
-        )
-        for name, electrons in (("light per second", "per second"), ("light", "mean"))
-    }
+    look = partial(
+        Step,
+        stage="sensor.meter",
+        constants={"automatic": automatic, "device": device},
+        rate=Rate.EXPOSURE,
+        work=float(prod(plan.scene.shape) * layers),
+        run=meter_light,
+    )
     steps = [
-        *looked.values(),
+        look("light per second", inputs=("per second",)),
+        look("light", inputs=("mean",)),
         Step(
             "metered",
             "",
             ("light per second",),
             {
                 **metering_numbers(sensor, readout),
-                "shape": plan.scene.shape,
-                "layers": layers,
+                "pixels": layers * prod(plan.scene.shape),
                 "device": device,
             },
             rate=Rate.EXPOSURE,
             host="a single picture waits for a few numbers of its exposure; in a stream they come a frame late",
-            run=read_and_choose,
+            run=choose_exposure,
         ),
     ]
     if watch := plan.find(Watch):
@@ -89,23 +87,26 @@ def meter_light(electrons: Any, *, automatic: AutoExposure, device) -> Any:
     return meter(flat, *automatic.weights(shape), automatic.fractions, device=device)
 
 
-def read_and_choose(light: Any, *, shape, layers, device, **numbers) -> tuple[float, float]:
-    """Return the exposure time [s] and gain for light per second: see `choose_exposure`."""
-    return choose_exposure(device.numpy(light), layers * prod(shape), **numbers)
-
-
 def choose_exposure(
-    light: Any, pixels: int, seconds: float = 1.0, *, automatic: AutoExposure, dark, saturation
+    light: Any,
+    pixels: int,
+    seconds: float = 1.0,
+    *,
+    automatic: AutoExposure,
+    dark: float,
+    saturation: float,
+    device: Device | None = None,
 ) -> tuple[float, float]:
     """Return the exposure time [s] and analog gain that automatic exposure chooses.
 
     Args:
-        light: Statistics from `meter_light`, read by the host.
+        light: Statistics from `meter_light`.
         pixels: Number of pixels that were metered.
         seconds: Exposure time of the metered electrons [s].
         automatic: Rules of automatic exposure.
         dark: Dark current [e- s-1].
         saturation: Electrons at saturation [e-].
+        device: Device that holds the statistics; None: they are on the host.
 
     Returns:
         Exposure time [s] and analog gain [1].
@@ -113,6 +114,7 @@ def choose_exposure(
     Raises:
         BadData: The scene has no light, or light that is not finite.
     """
+    light = light if device is None else device.numpy(light)
     rates = LightStatistics(np.array(light), pixels).over(seconds).plus(dark)
     return automatic.choose(rates, saturation)
 

@@ -29,13 +29,14 @@ class Probing:
 
     Attributes:
         count: Number of probes so far.
+        words: Why a new plan is made, if a probe missed; else "".
     """
 
     def __init__(self):
         self.count = 0
+        self.words = ""
         self._least: dict[tuple, int] = {}
-        # number of planes of the plan that missed, and words
-        self._missed: tuple[int, str] | None = None
+        self._missed: int | None = None  # number of planes of the plan that missed
         self._interval = 1
         self._begin(None)
 
@@ -50,26 +51,21 @@ class Probing:
 
     def least(self, scene: Scene) -> int:
         """Return the minimum number of planes of a plan for the scene."""
-        return self._least.get(kind_of(scene), 0)
+        return self._least.get(kind_of(scene), 0) if self._least else 0
 
     def forget(self):
         """Forget the numbers of planes: the camera has changed."""
         self._least.clear()
 
-    @property
-    def words(self) -> str:
-        """Why a new plan is made, if a probe missed; else ""."""
-        return "" if self._missed is None else self._missed[1]
-
     def set_plan(self, plan: Plan):
         """Begin to use a new plan. After a miss its planes are the minimum for scenes of this kind."""
         if plan is self._plan:
             return
-        if self._missed is None or plan.count > self._missed[0]:
+        if self._missed is None or plan.count > self._missed:
             self._interval = 1  # otherwise no better plan exists, and probes must still become rare
         if self._missed is not None:
             self._remember(plan.scene, plan.count)
-        self._missed = None
+        self._missed, self.words = None, ""
         self._begin(plan)
 
     def _remember(self, scene, count):
@@ -96,10 +92,8 @@ class Probing:
         if not holds:
             words = f"{plan.count} planes" if plan.count else "leaving the blur out"
             unsure = f"; the {since} scenes before were not probed" if since else ""
-            self._missed = (
-                plan.count,
-                f"{words} would miss: {account.verdict(plan.tolerance).words}{unsure}",
-            )
+            self._missed = plan.count
+            self.words = f"{words} would miss: {account.verdict(plan.tolerance).words}{unsure}"
 
     def add_survey(self, plan: Plan, scene: Scene, drift: float, steepest: float):
         """Take the survey of a scene, which arrives later: its drift, and the drift of its steepest rows."""
@@ -127,7 +121,7 @@ class Probing:
         the next scene.
         """
         if is_at_hand:
-            self._missed = plan.count, ""
+            self._missed, self.words = plan.count, ""
         else:
             self._remember(scene, plan.count + more)
 

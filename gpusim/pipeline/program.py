@@ -2,10 +2,13 @@
 
 import dataclasses
 import time
+from itertools import chain
 from math import prod
-from typing import Any
+from operator import is_
+from typing import TYPE_CHECKING, Any
 
 from gpusim.backends import Device
+from gpusim.color.rendering import Rendering
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, UnknownName
@@ -16,10 +19,19 @@ from gpusim.optics.drift import Watch
 from gpusim.optics.highlights import Highlights
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache, same
-from gpusim.pipeline.frame import Exposure, Frame
+from gpusim.pipeline.developer import rendering_name
+from gpusim.pipeline.exposure import (
+    Exposure,
+    expose_values,
+    exposure_steps,
+    make_frame,
+    operated_camera,
+    output_of,
+    picture_steps,
+)
+from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.imaging import store_content
 from gpusim.pipeline.metering import choose_exposure, metering_numbers
-from gpusim.pipeline.outputs import OUTPUTS
 from gpusim.pipeline.planning import (
     check_given,
     draft_key,
@@ -30,14 +42,37 @@ from gpusim.pipeline.planning import (
 )
 from gpusim.pipeline.probing import Probing
 from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
-from gpusim.pipeline.shots import Shots, exposure_numbers, exposure_steps, picture_steps
-from gpusim.pipeline.step import Rate, Values
+from gpusim.pipeline.step import Rate, Step, Values
 from gpusim.planner.after import holds
 from gpusim.planner.draft import draft_plan
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 
+if TYPE_CHECKING:
+    from gpusim.pipeline.simulator import Simulator
+
+# results by name, from the optical image to display codes
+OUTPUTS = {
+    "irradiance": "optical image at each wavelength of the scene, averaged over pixel apertures (L, rows, cols) "
+    "[photon s-1 m-2 nm-1]",
+    "electrons": "mean electrons of each pixel in each channel, as if it had all filters (C, rows, cols) [e-]",
+    "mean": "mean electrons of each pixel (rows, cols), or of stacked pixels (C, rows, cols) [e-]",
+    "chip_mean": "mean electrons with this chip's fixed pattern, after charge binning [e-]",
+    "raw": "digital numbers (rows, cols), layers of stacked pixels below each other [DN]",
+    "camera": "demosaicked camera values (C, rows, cols), white level 1",
+    "linear": "linear display RGB before clipping and tone curve (3, rows, cols), display white 1",
+    "xyz": "CIE XYZ of the linear display RGB (3, rows, cols), Y of display white 1",
+    "codes": "display codes (rows, cols, 3)",
+}
+BEFORE_NOISE = ("irradiance", "electrons", "mean", "chip_mean")
 SAME: Any = object()  # an argument of `Program.update` that was not given
+
+
+def checked_output(name: str) -> str:
+    """Return the name of an output. Raises UnknownName."""
+    if name not in [*OUTPUTS]:  # of any type
+        raise UnknownName("output", str(name), OUTPUTS)
+    return name
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -102,7 +137,7 @@ class Program:
 
     def __init__(
         self,
-        simulator: Any,
+        simulator: "Simulator",
         scene: Scene,
         exposure_time: float | None = None,
         gain: float = 1.0,
@@ -122,7 +157,8 @@ class Program:
                 Rate.FRAME: self.cache,
             }
         )
-        self._steps: dict[str, tuple] = {}  # lists of steps by name, each with its arguments
+        self._steps: dict[str, list[Step]] = {}  # lists of steps by name
+        self._made_of: dict[str, tuple] = {}  # the arguments from which they were made
         self._pending: _Check | None = None
         self._last_metered: tuple[float, float] | None = None
         # exposure time [s] and gain of this frame if metered late; kept until the next update
@@ -200,7 +236,7 @@ class Program:
                 self._predict_given()
             before.plan = self._fixed_plan, camera
             return self._fixed_plan
-        if (draft := self._draft()) is not None:
+        if self._drafts and (draft := self._draft()) is not None:
             return draft
         is_other = by is not None and not (
             by is camera or same(plan_inputs(by, tolerance), plan_inputs(camera, tolerance))
@@ -218,14 +254,13 @@ class Program:
             plan = before.cache("plan", _plan, simulator, scene, facts, seconds, least, words)
             probing.set_plan(plan)
         before.plan = plan, camera
-        return self._draft() or plan
+        return (self._drafts and self._draft()) or plan
 
     def _draft(self):
-        """Return a draft made from the existing plan; None if it is unwanted, unsuitable or saves no work."""
+        """Return a draft made from the existing plan; None if it is unsuitable or saves no work."""
         camera, (plan, by) = self.simulator.camera, self.before.plan or (None, None)
         if (
-            not self._drafts
-            or plan is None
+            plan is None
             or plan.scene is not self.scene
             or not same(draft_key(by), draft_key(camera))
         ):
@@ -268,11 +303,6 @@ class Program:
         stored = self.before.cache("entries", store_content, content, window=WHOLE, device=device)
         return self.before.cache("facts", facts_on_device, content, stored, device)
 
-    def _content(self, plan):
-        """Return the scene's content without the highlights that the plan adds separately."""
-        scene = self.scene
-        return scene.content if plan.find(Highlights) is None and not scene.layers else plan.content
-
     @property
     def exposure(self) -> Exposure:
         """The exposure: mean electrons of the scene, and the values that its frames need.
@@ -284,19 +314,22 @@ class Program:
         """
         start = time.perf_counter()
         with self.simulator.device.timed() as ms:
-            exposure = self._expose()
+            exposure = self.expose()
         wall = 1e3 * (time.perf_counter() - start)
-        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall, is_rewritten=True)
+        return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall)
 
     def _use(self, name, make, *args):
         """Replace the list of steps of this name by `make(*args)` if an argument is another object."""
-        found = self._steps.get(name)
-        if found is None or any(own is not its for own, its in zip(found[1], args, strict=True)):
-            self._steps[name] = make(*args), args
-            self.values.use([step for steps, _ in self._steps.values() for step in steps])
+        if name not in self._steps or not all(map(is_, self._made_of[name], args)):
+            self._steps[name], self._made_of[name] = make(*args), args
+            self.values.use(chain(*self._steps.values()))
 
-    def _expose(self):
-        """Return the exposure, without its times."""
+    def expose(self) -> Exposure:
+        """Return the exposure without its computing times. It does not wait for the device.
+
+        Returns:
+            The exposure, see `exposure`.
+        """
         settings = self.simulator, self._exposure_time, self._gain
         automatic = (
             self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
@@ -306,47 +339,28 @@ class Program:
         if self._last is not None and self._pending is None and is_metered and self.before.plan:
             exposure, *made_for = self._last
             now = self.before.plan[0], self.scene, *settings
-            if all(own is its for own, its in zip(made_for, now, strict=True)):
+            if all(map(is_, made_for, now)):
                 return exposure
         self._last = None  # from here on its arrays are rewritten
-        plan = self._find_plan()
-        seconds, gain = self._choose_exposure()
-        exposure = self._expose_with(plan, seconds, gain)
-        if plan.scene is not self.scene or self.meters_late:
-            self._start_check(plan, exposure.mean, seconds)
-        self._last = exposure, plan, self.scene, *settings
-        return exposure
-
-    def _find_plan(self):
-        """Return a plan that is not known to be unsuitable, and start the scene's rates on the device."""
+        simulator, scene, values = self.simulator, self.scene, self.values
         while True:
             plan = self.plan
-            self._use("exposure", exposure_steps, self.simulator, plan)
-            self.values.give(content=self._content(plan), view=self.scene.view)
-            self.values["rates"]
+            self._use("exposure", exposure_steps, simulator, plan)
+            # without the highlights that the plan adds separately
+            is_whole = plan.find(Highlights) is None and not scene.layers
+            values.give(content=scene.content if is_whole else plan.content, view=scene.view)
+            values["rates"]
             # last, so the device has work while the host waits
             if self._plan_still_valid():
-                return plan
-
-    def _expose_with(self, plan, seconds, gain):
-        """Return the exposure for an exposure time [s] and a gain."""
-        simulator, values = self.simulator, self.values
+                break
+        seconds, gain = self._choose_exposure()
         camera = self.cache("operated", operated_camera, simulator.camera, simulator.readout, gain)
         self._use("pictures", picture_steps, simulator, camera)
-        values.give(sensor=camera.sensor)
-        values.set_numbers(**exposure_numbers(simulator, seconds, gain))
-        return Exposure(
-            plan,
-            camera,
-            values["mean"],
-            values["chip_mean"],
-            seconds,
-            gain,
-            values["rendering"],
-            values["blur"] or 0.0,
-            values["shading"],
-            device=simulator.device,
-        )
+        exposure = expose_values(values, simulator, plan, camera, seconds, gain, is_rewritten=True)
+        if plan.scene is not scene or self.meters_late:
+            self._start_check(plan, exposure.mean, seconds)
+        self._last = exposure, plan, scene, *settings
+        return exposure
 
     def _choose_exposure(self):
         """Return exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
@@ -400,11 +414,8 @@ class Program:
             self._last_metered = choose_exposure(
                 light, check.pixels, check.seconds, **metering_numbers(sensor, readout)
             )
-        if check.plan.scene is not check.scene and self._fixed_plan is None:
-            self._apply_survey(check, light)
-
-    def _apply_survey(self, check, light):
-        """Drop the plan if the scene's light statistics or its survey show that it does not fit."""
+        if check.plan.scene is check.scene or self._fixed_plan is not None:
+            return
         plan, scene, probing, self._drift = check.plan, check.scene, self.before.probing, None
         if check.survey is not None:
             found = check.survey()
@@ -420,18 +431,13 @@ class Program:
                     scene is self.scene,
                 )
 
-    @property
-    def shots(self) -> Shots:
-        """Frames of the exposure."""
-        return Shots(self.simulator, self._expose(), self.values)
-
-    def output(self, name: str, *, seed: int = 0, frame: int = 0) -> Any:
+    def output(self, name: str, *, seed: int = 0, first: int = 0) -> Any:
         """Return one of OUTPUTS by its name. Only this output and the exposure are computed.
 
         Args:
-            name: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+            name: A key of `OUTPUTS`.
             seed: Seed of the noise, for "raw" and later outputs.
-            frame: Number of the frame, for "raw" and later outputs.
+            first: Number of the frame, for "raw" and later outputs.
 
         Returns:
             A device array, shape and unit as in OUTPUTS.
@@ -440,49 +446,55 @@ class Program:
             UnknownName: There is no such output.
             BadData: Irradiance of a blur that varies over the field.
         """
-        if name not in [*OUTPUTS]:
-            raise UnknownName("output", str(name), OUTPUTS)
-        shots, values = self.shots, self.values
+        checked_output(name)
+        exposure, values = self.expose(), self.values
         if name == "irradiance":
-            self._use("irradiance", self.simulator.imaging.irradiance_steps, shots.exposure.plan)
-        if name in ("irradiance", "electrons", "mean", "chip_mean"):
-            return values[name]
-        raw = shots.raw(seed, frame)
-        if name == "raw":
-            return raw
-        return shots.codes(raw) if name == "codes" else values[name]
+            self._use("irradiance", self.simulator.imaging.irradiance_steps, exposure.plan)
+        return values[name] if name in BEFORE_NOISE else output_of(values, name, seed, first)
 
-    def raw(self, *, seed: int = 0, frame: int = 0) -> Any:
+    def raw(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return the raw values of one frame.
 
         Args:
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             A device array (rows, cols) [DN].
         """
-        return self.shots.raw(seed, frame)
+        return self.output("raw", seed=seed, first=first)
 
-    def codes(self, *, seed: int = 0, frame: int = 0) -> Any:
+    def codes(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return the display codes of one frame.
 
         Args:
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             A device array (rows, cols, 3), uint8.
         """
-        shots = self.shots
-        return shots.codes(shots.raw(seed, frame))
+        return self.output("codes", seed=seed, first=first)
 
-    def frame(self, *, seed: int = 0, frame: int = 0) -> Frame:
+    def linear(self, *, seed: int = 0, first: int = 0) -> tuple[Any, Rendering]:
+        """Return linear light of one frame.
+
+        Args:
+            seed: Seed of the noise.
+            first: Number of the frame.
+
+        Returns:
+            Linear display RGB before clipping and tone curve, a device array (3, rows, cols), and its rendering.
+        """
+        shown = self.output("linear", seed=seed, first=first)
+        return shown, self.values[rendering_name(self.simulator.camera)]
+
+    def frame(self, *, seed: int = 0, first: int = 0) -> Frame:
         """Return one picture with its report, made with a plan that fits the scene.
 
         Args:
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             The picture.
@@ -491,12 +503,12 @@ class Program:
         if not self._plan_still_valid():
             exposure = self.exposure
         exposure = dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
-        return Shots(self.simulator, exposure, self.values).frame(seed=seed, frame=frame)
+        return make_frame(exposure, self.values, seed, first)
 
     @property
     def account(self) -> Account:
         """Predicted errors of the scene's exposure, from the measurements made so far."""
-        exposure = self._expose()
+        exposure = self.expose()
         return self._annotate(exposure.plan).account.at(exposure.exposure_time)
 
     def _annotate(self, plan):
@@ -512,7 +524,7 @@ class Program:
     @property
     def scene_plan(self) -> Plan:
         """The exposure's plan, with the errors predicted for its scene."""
-        return self._annotate(self._expose().plan)
+        return self._annotate(self.expose().plan)
 
     def _predict_given(self):
         """Return the given plan, with the errors predicted for the scene."""
@@ -538,40 +550,3 @@ def read_facts(scene: Scene, device) -> Facts:
 def facts_on_device(content, stored, device) -> Facts:
     """Return facts of a content, computed on the device."""
     return Facts(content, None, Reading(device, content, stored))
-
-
-def operated_camera(camera: Camera, readout, gain: float) -> Camera:
-    """Return a camera as operated: its sensor binned, with its analog gain multiplied by `gain`."""
-    return dataclasses.replace(camera, sensor=readout.sensor_at_gain(gain))
-
-
-def expose_mean(simulator: Any, plan: Plan, mean, seconds: float, gain: float) -> Exposure:
-    """Return the exposure for given mean electrons, without its computing times.
-
-    Args:
-        simulator: The simulator.
-        plan: Plan of the scene.
-        mean: Mean electrons, an array of the device [e-].
-        seconds: Exposure time [s].
-        gain: Analog gain, next to the sensor's [1].
-
-    Returns:
-        The exposure.
-    """
-    camera = operated_camera(simulator.camera, simulator.readout, gain)
-    values = Values({rate: Cache() for rate in Rate} | {Rate.CAMERA: simulator.tables})
-    values.use(exposure_steps(simulator, plan))
-    values.give(mean=mean, sensor=camera.sensor)
-    values.set_numbers(**exposure_numbers(simulator, seconds, gain))
-    return Exposure(
-        plan,
-        camera,
-        mean,
-        values["chip_mean"],
-        seconds,
-        gain,
-        values["rendering"],
-        values["blur"] or 0.0,
-        values["shading"],
-        device=simulator.device,
-    )

@@ -33,15 +33,14 @@ def is_read_on_device(device: Device, scene: Scene) -> bool:
     content = scene.content
     if scene.depth is not None or device.kind == "numpy":
         return False
-    arrays = [getattr(content, name) for name in content.samples]
-    if not all(isinstance(array, np.ndarray) for array in arrays):
-        return True
-    if device.on_host and all(
-        is_seen(array) and array.dtype == np.float32 and array.flags.c_contiguous
-        for array in arrays
-    ):
-        return False
-    return LARGE <= content.nbytes <= device.largest_array
+    is_fast = device.on_host  # for NumPy
+    for name in content.samples:
+        array = getattr(content, name)
+        if not isinstance(array, np.ndarray):
+            return True
+        is_float = array.dtype == np.float32 and array.flags.c_contiguous
+        is_fast = is_fast and is_float and is_seen(array)
+    return not is_fast and LARGE <= content.nbytes <= device.largest_array
 
 
 def bytes_read_on_device(plan: Plan, device: Device) -> int:
@@ -82,7 +81,7 @@ def store(device: Device, content: Content, window=WHOLE, curve=None):
         ), None
     if isinstance(content, Illuminated):
         return illuminate(cut("maps"), cut("coefficients"), device=device), None
-    *labels, entries = [cut(name) for name in content.samples]
+    *labels, entries = map(cut, content.samples)
     return entries, labels[0] if labels else None
 
 

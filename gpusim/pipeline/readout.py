@@ -2,14 +2,15 @@
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import replace
+from itertools import compress
 from math import prod
+from operator import is_
 from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device, open_device
-from gpusim.backends.tape import Tape, recording
+from gpusim.backends.tape import OwnTape, recording
 from gpusim.domain.binning import bin_mosaic
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, checked_count
 from gpusim.domain.exposure import checked_time
@@ -20,7 +21,7 @@ from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.flag import flag
-from gpusim.kernels.sensor.noise import MOST, noise
+from gpusim.kernels.sensor.noise import MOST, OUT, noise
 from gpusim.kernels.sensor.pattern import pattern
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
@@ -60,7 +61,7 @@ class Readout:
         self.pixels = prod(sensor.binning) if charge else 1
         self.output = dataclasses.replace(
             sensor,
-            cfa=tuple("".join(sensor.channels[c] for c in row) for row in mosaic),
+            cfa=tuple(map("".join, np.array(sensor.channels)[mosaic])),
             binning=(1, 1),
             full_well=sensor.full_well * self.pixels,
             noise=dataclasses.replace(
@@ -71,6 +72,7 @@ class Readout:
         self.averaged = prod(sensor.binning) if self._digital else 1
         self._tables = Cache() if tables is None else tables
         self._sensors = {1.0: self.output}
+        self._drawing = OwnTape()  # of the frame that was drawn last
 
     def __repr__(self):
         return shorten_repr(f"Readout({self.sensor!r}, {self.device!r})")
@@ -85,31 +87,14 @@ class Readout:
             The steps in the order in which they run.
         """
         plane = prod(shape[:-1]), shape[-1]
-        read = plane
-        if self.sensor.binning != (1, 1) and not self._digital:
-            read = binned_shape(plane, self.sensor.binning, self.stride)
-        steps = [*self.chip_steps(plane), *self.noise_steps(read)]
-        # one line of the report for all patterns
-        patterns = [step for step in steps if step.stage == "sensor.pattern"]
-        return [replace(step, words="") if step in patterns[1:] else step for step in steps]
-
-    def chip_steps(self, plane: tuple[int, int]) -> list[Step]:
-        """Return the steps from "mean" to "chip_mean".
-
-        Args:
-            plane: Shape of the pixels (rows, cols), layers of stacked pixels below each other.
-
-        Returns:
-            The steps in the order in which they run.
-        """
         patterns = self._patterns(plane, "response", "dark")
-        response, dark = (name if name in patterns else "" for name in ("response", "dark"))
+        dark = "dark" if "dark" in patterns else ""
         pixels = prod(plane) if patterns else 0
         chain = Chain("mean", "chip_mean", Rate.EXPOSURE, self.device)
         chain.add(
             "sensor.chip",
             {},
-            response,
+            "response" if "response" in patterns else "",
             dark,
             run=expose_chip,
             numbers=("dark_time",) if dark else (),
@@ -119,7 +104,8 @@ class Readout:
         )
         if self.sensor.binning != (1, 1) and not self._digital:
             self._add_binning(chain, plane, average=False)
-        return [*patterns.values(), *chain.end()]
+            plane = binned_shape(plane, self.sensor.binning, self.stride)
+        return [*patterns.values(), *chain.end(), *self.noise_steps(plane)]
 
     def noise_steps(self, plane: tuple[int, int]) -> list[Step]:
         """Return the steps from "chip_mean" to "raw".
@@ -130,9 +116,20 @@ class Readout:
         Returns:
             The steps in the order in which they run.
         """
-        noise_, sensor = self.sensor.noise, self.output
+        noise_, sensor, pixels = self.sensor.noise, self.output, prod(plane)
         patterns = self._patterns(plane, "offset", "amplitude")
-        offset, amplitude = (name if name in patterns else "" for name in ("offset", "amplitude"))
+        is_float = sensor.bits == FLOAT_BITS
+        temporal = {
+            f"photon ({noise_.photon})": noise_.photon != "none",
+            "dark current": noise_.dark_current,
+            "read": noise_.read,
+            "reset": noise_.reset,
+            "converter": noise_.adc,
+            "rows": noise_.row,
+            "columns": noise_.column,
+            "telegraph": "amplitude" in patterns,
+        }
+        words = ", ".join(compress(temporal, temporal.values())) or "no noise"
         chain = Chain("chip_mean", "raw", Rate.FRAME, self.device)
         chain.add(
             "sensor.noise",
@@ -141,15 +138,15 @@ class Readout:
                 "column_noise": noise_.column,
                 "telegraph_switching": noise_.telegraph_switching,
                 "full_well": sensor.full_well,
-                "white_level": None if sensor.bits == FLOAT_BITS else sensor.white_level,
+                "white_level": None if is_float else sensor.white_level,
                 "photon": noise_.photon,
             },
-            offset,
-            amplitude,
+            "offset" if "offset" in patterns else "",
+            "amplitude" if "amplitude" in patterns else "",
             numbers=("dark_electrons", "read_noise", "gain", "black_level", "seed", "frame"),
-            words=self._noise_words(bool(amplitude)),
-            nbytes=prod(plane) * (4 if sensor.bits == FLOAT_BITS else 2),
-            work=float(prod(plane)),
+            words=f"{words}; full well, {'no converter' if is_float else f'{sensor.bits} bit'}",
+            nbytes=pixels * (4 if is_float else 2),
+            work=float(pixels),
         )
         if self._digital:
             self._add_binning(chain, plane, average=True)
@@ -169,37 +166,32 @@ class Readout:
     def _patterns(self, plane, *wanted) -> dict[str, Step]:
         """Return the steps of the fixed patterns that this chip has, of (rows, cols), by name."""
         noise_ = self.sensor.noise
+        prnu = {"pixel": noise_.prnu, "row": noise_.row_prnu, "column": noise_.column_prnu}
+        dsnu = {"pixel": noise_.dsnu, "row": noise_.row_dsnu, "column": noise_.column_dsnu}
+        hot = {"share": noise_.hot_pixels, "scale": noise_.hot_current}
+        traps = {"share": noise_.telegraph_pixels, "scale": noise_.telegraph}
         planes = {
-            "response": {
-                "pixel": noise_.prnu,
-                "row": noise_.row_prnu,
-                "column": noise_.column_prnu,
-                "dead": noise_.dead_pixels,
-            },
-            "dark": {"share": noise_.hot_pixels, "scale": noise_.hot_current},
-            "offset": {
-                "pixel": noise_.dsnu,
-                "row": noise_.row_dsnu,
-                "column": noise_.column_dsnu,
-            },
-            "amplitude": {"share": noise_.telegraph_pixels, "scale": noise_.telegraph},
+            "response": prnu | {"dead": noise_.dead_pixels},
+            "dark": hot,
+            "offset": dsnu,
+            "amplitude": traps,
         }
         # an exponential needs both numbers, a sum of normal numbers one
         has = {
-            name: all(numbers.values()) if "share" in numbers else any(numbers.values())
-            for name, numbers in planes.items()
+            "response": any(planes["response"].values()),
+            "dark": all(hot.values()),
+            "offset": any(dsnu.values()),
+            "amplitude": all(traps.values()),
         }
-        words = [
-            name
-            for name, on in (
-                ("PRNU", noise_.prnu or noise_.row_prnu or noise_.column_prnu),
-                ("DSNU", has["offset"]),
-                ("dead pixels", noise_.dead_pixels),
-                ("hot pixels", has["dark"]),
-                ("traps", has["amplitude"]),
-            )
-            if on
-        ]
+        parts = {
+            "PRNU": any(prnu.values()),
+            "DSNU": has["offset"],
+            "dead pixels": noise_.dead_pixels,
+            "hot pixels": has["dark"],
+            "traps": has["amplitude"],
+        }
+        words = f"{', '.join(compress(parts, parts.values()))} of chip {noise_.seed}"
+        described = next(filter(has.get, has), "")  # one line of the report for all patterns
         return {
             name: Step(
                 name,
@@ -214,7 +206,7 @@ class Readout:
                     **planes[name],
                     "device": self.device,
                 },
-                words=f"{', '.join(words)} of chip {noise_.seed}",
+                words=words if name == described else "",
                 nbytes=4 * prod(plane),
                 rate=Rate.CAMERA,
                 run=make_pattern,
@@ -222,33 +214,6 @@ class Readout:
             for name in wanted
             if has[name]
         }
-
-    def _noise_words(self, has_traps):
-        """Return the report's line of the noise."""
-        noise_ = self.sensor.noise
-        temporal = [
-            name
-            for name, on in (
-                (f"photon ({noise_.photon})", noise_.photon != "none"),
-                ("dark current", noise_.dark_current),
-                ("read", noise_.read),
-                ("reset", noise_.reset),
-                ("converter", noise_.adc),
-                ("rows", noise_.row),
-                ("columns", noise_.column),
-                ("telegraph", has_traps),
-            )
-            if on
-        ]
-        bits = self.sensor.bits
-        converter = "no converter" if bits == FLOAT_BITS else f"{bits} bit"
-        return f"{', '.join(temporal) or 'no noise'}; full well, {converter}"
-
-    def _values(self, steps) -> Values:
-        """Return values for this call only; the chip's patterns are kept."""
-        values = Values({rate: Cache() for rate in Rate} | {Rate.CAMERA: self._tables})
-        values.use(steps)
-        return values
 
     def sensor_at_gain(self, gain: float) -> Sensor:
         """Return the output sensor with another analog gain. The last sensors are kept.
@@ -309,7 +274,7 @@ class Readout:
         rows, cols = prod(mean.shape[:-1]), mean.shape[-1]
         if scale != 1:
             mean = expose_chip(mean, scale=scale, device=self.device)
-        values = self._values(self.chip_steps((rows, cols)))
+        values = Values.of(self.steps((rows, cols)), self._tables)
         values.give(mean=mean)
         values.set_numbers(dark_time=self.dark_time(exposure_time))
         return values["chip_mean"]
@@ -330,38 +295,21 @@ class Readout:
         Returns:
             1 at defective pixels, else 0: uint8, shape of the raw values. None if there are none.
         """
-        flags = self.flags(shape, exposure_time, least)
-        found = (
-            np.zeros(1, np.uint8)
-            if flags is None
-            else (self.device.numpy(flags) != 0).astype(np.uint8)
-        )
-        return found if found.any() else None
-
-    def flags(self, shape: tuple[int, ...], exposure_time: float = 0.0, least: float = 0.0) -> Any:
-        """Return the map of `defects` on the device.
-
-        Args:
-            shape: Shape of the mean electrons, see `chip_mean`.
-            exposure_time: Exposure time [s].
-            least: Least charge of a hot pixel, see `defects` [e-].
-
-        Returns:
-            A device array, not 0 at defects. None if the sensor has neither dead nor hot pixels.
-        """
-        values = self._values(self.chip_steps((prod(shape[:-1]), shape[-1])))
-        dead = "response" in values and self.sensor.noise.dead_pixels
-        response = values["response"] if dead else None
-        dark = values["dark"] if "dark" in values else None
-        return flag_pixels(
-            response,
-            dark,
-            least=least,
+        values = Values.of(self.steps(shape), self._tables)
+        has_dead = "response" in values and self.sensor.noise.dead_pixels
+        flags = flag_pixels(
+            values["response"] if has_dead else None,
+            values["dark"] if "dark" in values else None,
+            hot_electrons=least,
             dark_time=self.dark_time(exposure_time),
             binning=self.sensor.binning,
             stride=self.stride,
             device=self.device,
         )
+        if flags is None:
+            return None
+        found = (self.device.numpy(flags) != 0).astype(np.uint8)
+        return found if found.any() else None
 
     def mean(self, mean: Any) -> np.ndarray:
         """Bin mean electrons: added for charge binning, averaged for digital binning.
@@ -383,9 +331,8 @@ class Readout:
         exposure_time: float,
         gain: float = 1.0,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         frames: int | None = None,
-        tape: Tape | None = None,
     ) -> Any:
         """Return raw values around the electrons that the chip is expected to collect.
 
@@ -394,9 +341,8 @@ class Readout:
             exposure_time: Exposure time [s].
             gain: Analog gain, next to the sensor's [1].
             seed: Names the noise.
-            frame: Number of the frame.
-            frames: Number of frames from `frame` on; None: this one only.
-            tape: Where the kernels are recorded, or None.
+            first: Number of the frame, or of the first one.
+            frames: Number of frames; None draws one without the first axis.
 
         Returns:
             An array of the device, (rows, cols) or (frames, rows, cols): uint16, or float32 without a converter.
@@ -405,59 +351,37 @@ class Readout:
             DoesNotFit: The frames need more memory than the device has.
             OutOfRange: The seed or a number is not allowed.
         """
+        device, drawing = self.device, self._drawing
+        of, numbers = (chip_mean, exposure_time, gain), {"seed": seed, "frame": first}
+        if frames is None and drawing.of and all(map(is_, drawing.of, of)):
+            # only the kernel runs again, with other numbers and another array
+            raw = device.empty(drawing.raw.shape, drawing.raw.dtype)
+            tape = drawing.tape
+            if not (tape.renumber(numbers) and tape.replace_arrays([(drawing.raw, raw)])):
+                raise RuntimeError("the recorded frame cannot be drawn again")
+            tape.replay()
+            drawing.raw = raw
+            return device.reshape(raw, tuple(chip_mean.shape))
         if frames is not None:
-            needed = (
-                int(frames) * prod(chip_mean.shape) * (4 if self.sensor.bits == FLOAT_BITS else 2)
-            )
-            if needed > self.device.memory:
-                raise DoesNotFit(f"{frames} frames", needed, self.device.memory, self.device.name)
+            bytes_each = 4 if self.sensor.bits == FLOAT_BITS else 2
+            needed = int(frames) * prod(chip_mean.shape) * bytes_each
+            if needed > device.memory:
+                raise DoesNotFit(f"{frames} frames", needed, device.memory, device.name)
         steps = self.noise_steps(tuple(chip_mean.shape))
-        values, read = self._values(steps), steps[-1 - self._digital]
+        values, read = Values.of(steps, self._tables), steps[-1 - self._digital]
         values.give(chip_mean=chip_mean)
         planes = [values[name] if name else None for name in read.inputs]
-        numbers = self.numbers(exposure_time, gain) | {"seed": seed, "frame": frame}
-        with recording(tape):
+        numbers |= self.numbers(exposure_time, gain)
+        drawing.of = ()
+        with recording(drawing.tape):
             raw = noise(*planes, **read.constants, **numbers, frames=frames)
-        if not self._digital:
-            return raw
-        if frames is None:
-            return self._bin(raw, average=True)
-        return self.device.stack(
-            [
-                self._bin(self.device.part(raw, number), average=True)
-                for number in range(raw.shape[0])
-            ]
-        )
-
-    @property
-    def draws_at_once(self) -> bool:
-        """True if `draw` runs only the stage `sensor.noise` for one frame."""
-        return not self._digital and self.device.kind != "numpy"
-
-    def draw_again(
-        self, tape: Tape, shape: tuple[int, int], last: Any, *, seed: int = 0, frame: int = 0
-    ) -> Any:
-        """Draw another frame with the kernels that `draw` recorded on a tape, see `draws_at_once`.
-
-        Args:
-            tape: The tape.
-            shape: Shape of the frame (rows, cols).
-            last: Device array that the kernels wrote before (1, rows, cols).
-            seed: Seed of the noise.
-            frame: Number of the frame.
-
-        Returns:
-            A new device array (1, rows, cols).
-
-        Raises:
-            RuntimeError: The tape cannot write to another array.
-        """
-        raw = self.device.empty((1, *shape), last.dtype)
-        if not (
-            tape.renumber({"seed": seed, "frame": frame}) and tape.replace_arrays([(last, raw)])
-        ):
-            raise RuntimeError("the recorded frame cannot be drawn again")
-        tape.replay()
+        if self._digital:
+            if frames is None:
+                return self._bin(raw, average=True)
+            each = [device.part(raw, number) for number in range(raw.shape[0])]
+            return device.stack([self._bin(one, average=True) for one in each])
+        if frames is None and device.kind != "numpy" and isinstance(chip_mean, device.array_type):
+            drawing.of, drawing.raw = of, drawing.tape.commands[-1].args[OUT]
         return raw
 
     def draw_electrons(
@@ -467,7 +391,7 @@ class Readout:
         *,
         gain: float = 1.0,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         frames: int | None = None,
     ) -> np.ndarray:
         """Add noise to given mean electrons.
@@ -479,7 +403,7 @@ class Readout:
             exposure_time: Exposure time [s].
             gain: Analog gain, next to the sensor's [1].
             seed: Seed of the noise.
-            frame: Number of the first frame.
+            first: Number of the first frame.
             frames: Number of frames; None draws one without the first axis.
 
         Returns:
@@ -493,7 +417,7 @@ class Readout:
         raw = np.array(
             self.device.numpy(
                 self.draw(
-                    chip_mean, exposure_time, gain=gain, seed=seed, frame=frame, frames=frames
+                    chip_mean, exposure_time, gain=gain, seed=seed, first=first, frames=frames
                 )
             )
         )
@@ -549,7 +473,7 @@ class Readout:
                 exposure_time,
                 gain=gain,
                 seed=seed,
-                frame=first + start,
+                first=first + start,
                 frames=min(batch, count - start),
             )
             total = total + self.device.numpy(raw).sum(axis=0, dtype=kind)
@@ -563,7 +487,7 @@ class Readout:
         *,
         gain: float = 1.0,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
     ) -> np.ndarray:
         """Return raw values of non-destructive reads, which leave the charge in the pixels.
 
@@ -576,7 +500,7 @@ class Readout:
             times: Times of the reads since the reset, rising [s].
             gain: Analog gain, next to the sensor's [1].
             seed: Seed of the noise.
-            frame: Number of the frame.
+            first: Number of the frame.
 
         Returns:
             Raw values (reads, rows, cols) [DN].
@@ -586,9 +510,9 @@ class Readout:
         shape = prod(mean.shape[:-1]), mean.shape[-1]
         shape = shape if self.pixels == 1 else binned_shape(shape, self.sensor.binning, self.stride)
         steps = self.noise_steps(shape)
-        values, read = self._values(steps), steps[-1]
+        values, read = Values.of(steps, self._tables), steps[-1]
         offset, amplitude = (values[name] if name else None for name in read.inputs[1:])
-        numbers = self.numbers(0.0, gain) | {"seed": seed, "frame": frame}
+        numbers = self.numbers(0.0, gain) | {"seed": seed, "frame": first}
         # the kernel takes no negative electrons, so the reset noise is part of the offset
         numbers["read_noise"] = float(
             np.hypot(noise_.read, noise_.adc / sensor.gain_dn_per_electron)
@@ -598,7 +522,7 @@ class Readout:
             "full_well": MOST,
             "electrons": True,
             "seed": seed,
-            "frame": frame,
+            "frame": first,
             "device": device,
         }
         reads, previous = [], 0.0
@@ -721,14 +645,15 @@ def expose_chip(mean, response=None, dark=None, *, device, dark_time=0.0, scale=
     return chip(mean, response, dark, scale=scale, dark_time=dark_time, device=device)
 
 
-def flag_pixels(response, dark, *, least, dark_time, binning, stride, device) -> Any:
+def flag_pixels(response, dark, *, hot_electrons, dark_time, binning, stride, device) -> Any:
     """Return a map of dead and hot pixels as an array of the device; None if there can be none.
 
-    least: charge of a hot pixel beyond the common dark current [e-]. dark_time: [s]. The rest as for `sensor.flag`.
+    hot_electrons: least charge of a hot pixel beyond the common dark current [e-]. dark_time: [s]. The rest as for
+    `sensor.flag`.
     """
     if response is None and dark is None:
         return None
-    least = least / dark_time if dark_time else 0.0
+    least = hot_electrons / dark_time if dark_time else 0.0
     return flag(response, dark, least=least, binning=binning, stride=stride, device=device)
 
 

@@ -3,11 +3,10 @@
 from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import replace
-from operator import is_
-from typing import Any, overload
+from typing import overload
 
+from gpusim import pipeline
 from gpusim.backends import Device, open_device
-from gpusim.backends.tape import OwnTape
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
 from gpusim.domain.foreign import is_array
@@ -15,18 +14,15 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.sensor.bin import binned_shape
-from gpusim.kernels.sensor.noise import OUT
-from gpusim.pipeline import truths
 from gpusim.pipeline.batch import Batch
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.developer import Developer
-from gpusim.pipeline.frame import Exposure, Frame
+from gpusim.pipeline.exposure import Exposure, exposure_steps
+from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.imaging import Imaging
 from gpusim.pipeline.planning import checked_reach, make_plan
 from gpusim.pipeline.program import Program
 from gpusim.pipeline.readout import Readout
-from gpusim.pipeline.report import Error
-from gpusim.pipeline.shots import Shots, exposure_steps
 from gpusim.pipeline.step import Step
 from gpusim.pipeline.stream import Stream
 from gpusim.planner.facts import Facts
@@ -83,7 +79,6 @@ class Simulator:
                 "rms >= 1e-6 in float32; below it use device numpy",
             )
         self.launched: list[str] = []  # names of stages, in their order
-        self._drawing = OwnTape()
         self._connect(camera, Cache(), Cache())
 
     def __repr__(self):
@@ -153,7 +148,7 @@ class Simulator:
 
         Args:
             count: Number of frames in a call.
-            output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+            output: A key of `gpusim.pipeline.program.OUTPUTS`.
             planned_for: Scene whose plan is used for all scenes of its kind that it fits.
             plan: Plan for all frames.
 
@@ -203,7 +198,7 @@ class Simulator:
 
         Args:
             scenes: The scenes.
-            output: A key of `gpusim.pipeline.outputs.OUTPUTS`, for example "codes" or "raw".
+            output: A key of `gpusim.pipeline.program.OUTPUTS`, for example "codes" or "raw".
             seed: Seed of the noise.
             first: Number of the first frame.
             exposure_time: Exposure time [s]; None uses the camera's, see `expose`.
@@ -233,7 +228,7 @@ class Simulator:
         scene: Scene,
         *,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         verify: bool = False,
         plan: Plan | None = None,
     ) -> Frame: ...
@@ -244,7 +239,7 @@ class Simulator:
         scene: Iterable[Scene],
         *,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         verify: bool = False,
         plan: Plan | None = None,
     ) -> Iterator[Frame]: ...
@@ -254,7 +249,7 @@ class Simulator:
         scene: Scene | Iterable[Scene],
         *,
         seed: int = 0,
-        frame: int = 0,
+        first: int = 0,
         verify: bool = False,
         plan: Plan | None = None,
     ) -> Frame | Iterator[Frame]:
@@ -266,7 +261,7 @@ class Simulator:
         Args:
             scene: A scene, or several.
             seed: Seed of the noise.
-            frame: Number of the frame, or of the first one.
+            first: Number of the frame, or of the first one.
             verify: Also compute the float64 reference and report the true error.
             plan: Plan for all frames.
 
@@ -281,11 +276,11 @@ class Simulator:
             for one in scene if isinstance(scene, list | tuple | set | dict) else ():
                 checked_scene(one)
             return (
-                self(one, seed=seed, frame=number, verify=verify, plan=plan)
-                for number, one in enumerate(scene, frame)
+                self(one, seed=seed, first=number, verify=verify, plan=plan)
+                for number, one in enumerate(scene, first)
             )
         return next(
-            self.frames(checked_scene(scene), 1, seed=seed, first=frame, verify=verify, plan=plan)
+            self.frames(checked_scene(scene), 1, seed=seed, first=first, verify=verify, plan=plan)
         )
 
     def frames(
@@ -318,36 +313,10 @@ class Simulator:
 
     def _frames(self, scene, count, seed, first, verify, plan):
         if verify:
-            truths.load().require_truth(self.camera, scene)
+            pipeline.load_truth().require_truth(self.camera, scene)
         exposure = self.expose(scene, plan=plan)
-        error = truths.load().true_error(self, scene, exposure) if verify else None
-        yield from self.shoot(exposure, count, seed=seed, first=first, error=error)
-
-    def shoot(
-        self,
-        exposure: Exposure,
-        count: int = 1,
-        *,
-        seed: int = 0,
-        first: int = 0,
-        error: Error | None = None,
-    ) -> Iterator[Frame]:
-        """Yield noisy frames of an exposure.
-
-        Args:
-            exposure: The exposure.
-            count: Number of frames.
-            seed: Seed of the noise.
-            first: Number of the first frame.
-            error: True error of the mean electrons for the report, if known.
-
-        Yields:
-            The frames, in order.
-        """
-        checked_count("count of frames", count)
-        shots = Shots(self, exposure)
-        for number in range(first, first + count):
-            yield shots.frame(seed=seed, frame=number, error=error, first=number == first)
+        error = pipeline.load_truth().true_error(self, scene, exposure) if verify else None
+        yield from exposure.frames(count, seed=seed, first=first, error=error)
 
     def plan(
         self,
@@ -396,55 +365,3 @@ class Simulator:
         program = self.program(scene, exposure_time, gain, plan=plan)
         exposure = program.exposure
         return replace(exposure, plan=program.scene_plan, is_rewritten=False)
-
-    def draw(
-        self, exposure: Exposure, *, seed: int = 0, frame: int = 0, frames: int | None = None
-    ) -> Any:
-        """Add noise to `exposure.chip_mean`. For equal means the result is identical on all devices.
-
-        Args:
-            exposure: The exposure.
-            seed: Seed of the noise.
-            frame: Number of the first frame.
-            frames: Number of frames; None draws one without the first axis.
-
-        Returns:
-            Raw values, a device array (frames, rows, cols) or (rows, cols) [DN]. Layers of stacked pixels are below
-            each other.
-        """
-        drawing = self._drawing
-        of = (exposure.chip_mean, exposure.exposure_time, exposure.gain, self.readout)
-        shape = tuple(exposure.chip_mean.shape)
-        if frames is None and drawing.of and all(map(is_, drawing.of, of)):
-            raw = self.readout.draw_again(drawing.tape, shape, drawing.raw, seed=seed, frame=frame)
-            drawing.raw = raw
-            return self.device.reshape(raw, shape)
-        drawing.of = ()
-        raw = self.readout.draw(*of[:-1], seed=seed, frame=frame, frames=frames, tape=drawing.tape)
-        if frames is None and self.readout.draws_at_once:
-            drawing.of, drawing.raw = of, drawing.tape.commands[-1].args[OUT]
-        return raw
-
-    def develop(self, raw: Any, exposure: Exposure) -> tuple[Any, Any]:
-        """Develop raw values. Those of a sensor without a converter are first rounded to 16 bits.
-
-        Args:
-            raw: Raw values, a device array (rows, cols) [DN].
-            exposure: The exposure from which they were drawn.
-
-        Returns:
-            Linear display RGB (3, rows, cols) before the tone curve, and display codes (rows, cols, 3), device arrays.
-        """
-        return Shots(self, exposure).develop(raw)[:2]
-
-    def codes(self, raw: Any, exposure: Exposure) -> Any:
-        """Develop raw values to display codes only, in one pass if the camera allows it.
-
-        Args:
-            raw: Raw values, a device array (rows, cols) [DN].
-            exposure: The exposure from which they were drawn.
-
-        Returns:
-            Display codes, a device array (rows, cols, 3), uint8.
-        """
-        return Shots(self, exposure).codes(raw)

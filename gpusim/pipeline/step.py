@@ -110,24 +110,29 @@ class Values:
 
     def __init__(self, caches: Mapping[Rate, Cache]):
         self._caches, self._token = caches, object()
-        self._steps: dict[str, Step] = {}
+        self.steps: dict[str, Step] = {}  # by the value that each makes
         self._given: dict[str, Any] = {}
         self._numbers: dict[str, Any] = {}
         self._known: dict[str, Any] = {}  # values that are up to date
         self._users: dict[str, set[str]] = {}  # outputs that depend directly on a value or number
 
+    @classmethod
+    def of(cls, steps: Iterable[Step], tables: Cache | None = None) -> "Values":
+        """Return values of these steps that are not kept. tables: where the camera's values are kept."""
+        own = Cache()
+        values = cls(dict.fromkeys(Rate, own) | {Rate.CAMERA: tables or own})
+        values.use(steps)
+        return values
+
     def use(self, steps: Iterable[Step]) -> None:
         """Replace all steps by these."""
-        new = {step.output: step for step in steps}
-        before, self._steps = self._steps, new
-        for name in before.keys() - new.keys():
-            self.forget(name)
-        self._users = {}
-        for step in new.values():
+        before, self.steps, self._users = self.steps, {}, {}
+        for step in steps:
+            self.steps[step.output] = step
             for name in (*step.inputs, *step.numbers):
                 self._users.setdefault(name, set()).add(step.output)
-        for name, step in new.items():
-            if before.get(name) is not step:
+        for name in before.keys() | self.steps.keys():
+            if before.get(name) is not self.steps.get(name):
                 self.forget(name)
 
     def give(self, **values) -> None:
@@ -169,24 +174,24 @@ class Values:
         found = []
         for cache in {id(cache): cache for cache in self._caches.values()}.values():
             for name, reads, work in cache.host_accesses():
-                step = self._steps.get(name)
+                step = self.steps.get(name)
                 if step is not None and not step.host:
                     found += [(name, stage) for stage in sorted({*reads, *work})]
         return found
 
     def __contains__(self, name: str) -> bool:
-        return name in self._given or name in self._steps
+        return name in self._given or name in self.steps
 
     def _value(self, name):
         if name in self._known:
             return self._known[name]
         if name in self._given or not name:
             return self._given[name] if name else None
-        step = self._steps[name]
+        step = self.steps[name]
         value = self._caches[step.rate].run(
             name,
             step.run,
-            tuple([self._value(one) for one in step.inputs]),
+            tuple(map(self._value, step.inputs)),
             step.constants,
             {number: self._numbers[number] for number in step.numbers},
         )

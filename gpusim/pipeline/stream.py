@@ -1,16 +1,19 @@
 """Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
 from collections.abc import Generator, Iterable, Iterator
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.domain.errors import BadData, UnknownName, checked_count
+from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.foreign import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.pipeline.outputs import OUTPUTS
+from gpusim.pipeline.program import checked_output
 from gpusim.planner.plan import Plan
+
+if TYPE_CHECKING:
+    from gpusim.pipeline.simulator import Simulator
 
 SLOTS = 2  # one is read while the other is written
 
@@ -21,7 +24,7 @@ class Stream(Iterator):
     Args:
         simulator: The Simulator.
         scenes: The scenes.
-        output: A key of `gpusim.pipeline.outputs.OUTPUTS`.
+        output: A key of `gpusim.pipeline.program.OUTPUTS`.
         seed: Seed of the noise.
         first: Number of the first frame.
         plan: Plan for all frames.
@@ -38,7 +41,7 @@ class Stream(Iterator):
 
     def __init__(
         self,
-        simulator: Any,
+        simulator: "Simulator",
         scenes: Iterable[Scene],
         output: str = "codes",
         *,
@@ -47,8 +50,7 @@ class Stream(Iterator):
         plan: Plan | None = None,
         **settings: Any,
     ):
-        if output not in [*OUTPUTS]:
-            raise UnknownName("output", str(output), OUTPUTS)
+        checked_output(output)
         checked_count("first", first, 0)
         if not isinstance(scenes, Iterable) or isinstance(scenes, str | bytes) or is_array(scenes):
             raise BadData(
@@ -73,7 +75,7 @@ class Stream(Iterator):
                     if program is None
                     else program.update(scene=scene)
                 )
-                frame = program.output(output, seed=seed, frame=number)
+                frame = program.output(output, seed=seed, first=number)
                 self.plan = program.plan
                 yield frame
             if program is not None:

@@ -321,7 +321,7 @@ def measure_transfer(
 
     def frames(electrons, number, count=2):
         return readout.draw_electrons(
-            electrons * pixels, 1e-9, seed=seed, frame=2 * number, frames=count
+            electrons * pixels, 1e-9, seed=seed, first=2 * number, frames=count
         )
 
     levels = (

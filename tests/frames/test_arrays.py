@@ -39,14 +39,14 @@ def test_what_the_api_gives_is_an_array_to_others(device):
     simulator = gs.Simulator(CAMERA, device=device)
     shown, device = scene(cube()), simulator.device
     exposure, program = simulator.expose(shown), simulator.program(shown)
-    draws = simulator.draw(exposure, frames=3)
+    draws = exposure.raw(frames=3)
     for found, shape in (
         (program.raw(), SHAPE),
         (program.codes(), (*SHAPE, 3)),
-        (simulator.draw(exposure), SHAPE),
+        (exposure.raw(), SHAPE),
         (draws, (3, *SHAPE)),
-        (simulator.codes(simulator.draw(exposure), exposure), (*SHAPE, 3)),
-        (simulator.develop(simulator.draw(exposure), exposure)[0], (3, *SHAPE)),
+        (exposure.codes(exposure.raw()), (*SHAPE, 3)),
+        (exposure.develop(exposure.raw())[0], (3, *SHAPE)),
         (exposure.mean, SHAPE),
         (exposure.chip_mean, SHAPE),
         (next(simulator.stream([shown])), (*SHAPE, 3)),
@@ -74,9 +74,9 @@ def test_what_the_api_gives_is_an_array_to_others(device):
             with pytest.raises(IndexError):
                 found[wrong]
         assert sum(1 for _ in found) == shape[0]
-    one = simulator.draw(exposure, frame=1)
+    one = exposure.raw(first=1)
     same_bits(device, draws[1], one)
-    same_bits(device, simulator.codes(draws[1], exposure), simulator.codes(one, exposure))
+    same_bits(device, exposure.codes(draws[1]), exposure.codes(one))
 
 
 @pytest.mark.parametrize("device", DEVICES)
@@ -472,7 +472,7 @@ def test_streams_of_foreign_samples_to_memory_apart(apart):
         )
     ]
     for number, raw in enumerate(simulator.stream(scenes, "raw", seed=5)):
-        wanted = gs.Simulator(CAMERA, device="opencl")(scenes[number], seed=5, frame=number)
+        wanted = gs.Simulator(CAMERA, device="opencl")(scenes[number], seed=5, first=number)
         np.testing.assert_array_equal(np.asarray(raw), wanted.raw)
     assert number == len(scenes) - 1
 

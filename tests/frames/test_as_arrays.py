@@ -5,7 +5,7 @@ import pytest
 from devices import ALL_KINDS
 
 import gpusim as gs
-from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.exposure import Exposure
 
 NODES = np.linspace(400, 700, 31)
 PHONE = gs.open_camera("phone")

@@ -35,10 +35,10 @@ def test_items_of_several_scenes(device, output):
         order = [(first + item) % COUNT for item in range(COUNT)]
         found = host(
             simulator.device,
-            batch([scenes[n] for n in order], seed=3, frame=first, exposure_time=0.01),
+            batch([scenes[n] for n in order], seed=3, first=first, exposure_time=0.01),
         )
         for item, n in enumerate(order):
-            own = programs[n].output(output, seed=3, frame=first + item)
+            own = programs[n].output(output, seed=3, first=first + item)
             np.testing.assert_array_equal(found[item], host(simulator.device, own))
 
 
@@ -80,7 +80,7 @@ def test_items_of_several_settings(device, what):
                 exposure_time=times,
                 gain=gains,
                 seed=seeds,
-                frame=[turn] * count,
+                first=[turn] * count,
             ),
         )
         for item, camera in enumerate(cameras):
@@ -88,7 +88,7 @@ def test_items_of_several_settings(device, what):
                 scene, times[item], gains[item]
             )
             np.testing.assert_array_equal(
-                found[item], host(own.simulator.device, own.codes(seed=seeds[item], frame=turn))
+                found[item], host(own.simulator.device, own.codes(seed=seeds[item], first=turn))
             )
         if turn == 2:
             cameras, times = cameras[::-1], times[::-1]
@@ -98,9 +98,9 @@ def test_items_of_several_settings(device, what):
 def test_every_item_is_exposed_by_its_own_light(device):
     simulator, scenes = gs.Simulator(PHONE, device=device), cubes()
     assert PHONE.sensor.exposure_time is None
-    found = host(simulator.device, simulator.batch(COUNT, "raw")(scenes, seed=2, frame=[0, 1, 2]))
+    found = host(simulator.device, simulator.batch(COUNT, "raw")(scenes, seed=2, first=[0, 1, 2]))
     for item, scene in enumerate(scenes):
-        np.testing.assert_array_equal(found[item], simulator(scene, seed=2, frame=item).raw)
+        np.testing.assert_array_equal(found[item], simulator(scene, seed=2, first=item).raw)
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -202,7 +202,7 @@ def test_refuses(monkeypatch):
     with pytest.raises(BadData, match="camera: str, wanted a Camera"):
         batch(scenes, camera="phone")
     with pytest.raises(OutOfRange, match="frame = None"):
-        batch(scenes, frame=None, exposure_time=0.01)
+        batch(scenes, first=None, exposure_time=0.01)
     binned = camera_with(sensor={"binning": (2, 2), "binning_mode": "charge"})
     with pytest.raises(BadData, match="wanted cameras whose frames have one shape"):
         batch(scenes, camera=[PHONE, binned, PHONE], exposure_time=0.01)

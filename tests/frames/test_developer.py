@@ -12,7 +12,7 @@ from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.io.camera.cameras import open_camera
-from gpusim.pipeline.shots import Shots
+from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.simulator import Simulator
 
 # by default on one device: the stages' own tests run on all, and whole pictures take long to build
@@ -75,18 +75,17 @@ def test_every_setting_develops_as_the_reference_does(device, settings):
     scene = chart("colorchecker", size=(72, 48), light="A")
     reference = Simulator(camera, device="numpy")
     exposure = reference.expose(scene)
-    raw = np.asarray(reference.draw(exposure, seed=3))
-    wanted, wanted_codes = reference.develop(raw, exposure)
+    raw = np.asarray(exposure.raw(seed=3))
+    wanted, wanted_codes = exposure.develop(raw)
     simulator = Simulator(camera, device=device)
     ours = simulator.expose(scene)
     linear, codes = (
-        simulator.device.numpy(a)
-        for a in simulator.develop(simulator.device.array(raw, np.uint16), ours)
+        simulator.device.numpy(a) for a in ours.develop(simulator.device.array(raw, np.uint16))
     )
     np.testing.assert_allclose(linear, wanted, atol=1.7e-4 * max(1.0, np.abs(wanted).max()))
     # a code is 3295 codes per unit of light at the steepest (sRGB at black), the tone curve no steeper
     assert np.abs(codes.astype(int) - wanted_codes).max() <= 1
-    alone = simulator.device.numpy(simulator.codes(simulator.device.array(raw, np.uint16), ours))
+    alone = simulator.device.numpy(ours.codes(simulator.device.array(raw, np.uint16)))
     np.testing.assert_array_equal(alone, codes)
 
 
@@ -248,10 +247,10 @@ def test_noise_model_is_that_of_the_raw_values(noise, sensor):
     camera = replace(camera, optics=replace(camera.optics, relative_illumination="none"))
     simulator = Simulator(camera, device="opencl")
     exposure = simulator.expose(chart("flat", size=(120, 80)))
-    raws = simulator.device.numpy(simulator.draw(exposure, seed=5, frames=24)).astype(float)[
+    raws = simulator.device.numpy(exposure.raw(seed=5, frames=24)).astype(float)[
         :, ::2, ::2
     ]  # one colour
-    developer = Shots(simulator, exposure).developer
+    developer = Developer(exposure.camera, simulator.device, simulator.readout.averaged)
     gain, read = developer.noise
     measured = raws.var(axis=0, ddof=1).mean()
     predicted = gain * (raws.mean() - exposure.camera.sensor.dark_level) + read**2
@@ -331,8 +330,8 @@ def test_one_simulator_is_as_good_as_new_ones():
         pictures = []
         for simulator in (one, Simulator(camera, device="opencl")):
             exposure = simulator.expose(scene, time, gain)
-            raw = simulator.draw(exposure, seed=2)
-            pictures.append(np.array(simulator.device.numpy(simulator.develop(raw, exposure)[0])))
+            raw = exposure.raw(seed=2)
+            pictures.append(np.array(simulator.device.numpy(exposure.develop(raw)[0])))
         np.testing.assert_array_equal(*pictures)
 
 
@@ -347,11 +346,11 @@ def test_layers_of_stacked_pixels_do_not_meet():
     )
     simulator = Simulator(camera, device="opencl")
     exposure = simulator.expose(chart("colorchecker", size=(60, 40)))
-    raw = np.array(simulator.device.numpy(simulator.draw(exposure, seed=1)))
+    raw = np.array(simulator.device.numpy(exposure.raw(seed=1)))
     changed = raw.copy()
     changed[40:] = 1000 - changed[40:] // 2  # all but the first layer
-    developer = Shots(simulator, exposure).developer
-    known = Shots(simulator, exposure).defects
+    developer = Developer(exposure.camera, simulator.device, simulator.readout.averaged)
+    known = exposure.values()["defects"]
     planes = [
         np.array(
             simulator.device.numpy(

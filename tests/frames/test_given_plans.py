@@ -77,21 +77,21 @@ def paths(simulator, scenes, plan):
     stream = simulator.stream(scenes, "raw", seed=SEED, meters_late=False, plan=plan)
     batch = simulator.batch(len(scenes), "raw", plan=plan)
     found = {
-        "call": [simulator(scene, seed=SEED, frame=n, plan=plan).raw for n, scene in numbered],
+        "call": [simulator(scene, seed=SEED, first=n, plan=plan).raw for n, scene in numbered],
         "list": [frame.raw for frame in simulator(scenes, seed=SEED, plan=plan)],
         "frames": [
             list(simulator.frames(scene, n + 1, seed=SEED, plan=plan))[n].raw
             for n, scene in numbered
         ],
         "draw": [
-            host(simulator.draw(simulator.expose(scene, plan=plan), seed=SEED, frame=n))
+            host(simulator.expose(scene, plan=plan).raw(seed=SEED, first=n))
             for n, scene in numbered
         ],
         "program": [
-            host(program.update(scene=scene).raw(seed=SEED, frame=n)) for n, scene in numbered
+            host(program.update(scene=scene).raw(seed=SEED, first=n)) for n, scene in numbered
         ],
         "framed": [
-            program.update(scene=scene).frame(seed=SEED, frame=n).raw for n, scene in numbered
+            program.update(scene=scene).frame(seed=SEED, first=n).raw for n, scene in numbered
         ],
         "stream": [host(raw) for raw in stream],
         "batch": list(host(batch(scenes, seed=SEED))),
@@ -142,7 +142,7 @@ def test_all_ways_give_one_frame(what, device):
             )
     own = [simulator.plan(scene).name for scene in scenes]
     assert (len(set(own)) == COUNT) is are_apart
-    np.testing.assert_array_equal(found["stream"][1], simulator(scenes[1], seed=SEED, frame=1).raw)
+    np.testing.assert_array_equal(found["stream"][1], simulator(scenes[1], seed=SEED, first=1).raw)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -164,7 +164,7 @@ def test_batches_of_pictures(device):
         )
     simulator = gs.Simulator(PHONE, device=device, tolerance="video")
     scene = first.plans[2].scene
-    np.testing.assert_array_equal(simulator(scene, seed=SEED, frame=2, plan=plan).raw, together[2])
+    np.testing.assert_array_equal(simulator(scene, seed=SEED, first=2, plan=plan).raw, together[2])
 
 
 @pytest.mark.parametrize("tolerance", ["video", pytest.param("1e-3", marks=pytest.mark.slow)])
@@ -334,9 +334,9 @@ def test_exposures_noise_and_tolerances_may_be_others():
         for seconds in (0.002, 0.05):
             exposure = simulator.expose(scenes[1], seconds, 1.0, plan)
             assert exposure.plan.name == plan.name
-            raw = simulator.draw(exposure, seed=SEED)
+            raw = exposure.raw(seed=SEED)
             batch = simulator.batch(2, "raw", plan=plan)(
-                [scenes[1]] * 2, exposure_time=[seconds, 0.03], seed=SEED, frame=[0, 1]
+                [scenes[1]] * 2, exposure_time=[seconds, 0.03], seed=SEED, first=[0, 1]
             )
             np.testing.assert_array_equal(batch[0], raw)
             verdict = exposure.plan.verdict
@@ -375,7 +375,7 @@ def test_plans_go_to_other_processes():
     )
     name, anew, raw = pickle.loads(done.stdout)
     assert name == anew == plan.name
-    np.testing.assert_array_equal(raw, simulator(scenes[1], seed=4, frame=2, plan=plan).raw)
+    np.testing.assert_array_equal(raw, simulator(scenes[1], seed=4, first=2, plan=plan).raw)
 
 
 def test_names_follow_decisions():
@@ -420,7 +420,7 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
         pair = Pairs(*asked, plan=plan).pair(number)
         assert pair["record"]["plan"] == plan.name
         np.testing.assert_array_equal(
-            pair["raw"], simulator(scene, seed=SEED, frame=number, plan=plan).raw
+            pair["raw"], simulator(scene, seed=SEED, first=number, plan=plan).raw
         )
 
     asked = [
@@ -458,7 +458,7 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
         if plan.name == frames[number]:  # else the segment planned anew
             with np.load(tmp_path / f"a_{number:04}.npz") as file:
                 np.testing.assert_array_equal(
-                    file["dn"], fixed(scenes[number], seed=4, frame=number, plan=plan).raw
+                    file["dn"], fixed(scenes[number], seed=4, first=number, plan=plan).raw
                 )
     assert frames[0] == fixed.plan(scenes[0]).name and frames[2] == fixed.plan(scenes[2]).name
 

@@ -45,7 +45,7 @@ def test_ideal_frames():
     assert ciede2000(frame, frame).max() == 0
     assert visible_snr(frame, 30.0) > 1e3
     # the exposure is divided out: four stops darker the rounding to 16 bits is 16 times as large, 1.6e-2
-    dark = next(simulate.shoot(simulate.expose(flat, frame.exposure_time / 16)))
+    dark = simulate.expose(flat, frame.exposure_time / 16).frame()
     assert dark.linear.max() < frame.linear.max() / 15 and ciede2000(dark, flat).max() < 0.05
     checker = chart("colorchecker", size=(192, 128))
     frame = simulate(checker)
@@ -89,7 +89,7 @@ def test_snr_of_photons(light):
     sensor = replace(camera.sensor, bits=FLOAT_BITS, noise=Noise(prnu=0.05), full_well=10000.0)
     simulate = Simulator(replace(camera, sensor=sensor))
     first, second = (
-        simulate.readout.draw_electrons(np.full((128, 128), light), 0.01, frame=number).astype(
+        simulate.readout.draw_electrons(np.full((128, 128), light), 0.01, first=number).astype(
             np.float64
         )
         for number in (0, 1)

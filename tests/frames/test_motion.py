@@ -137,4 +137,4 @@ def test_blurred_frames_are_those_of_their_times():
     for one in blurred_frames(simulator, scenes, [[3, 5], [0, 1]], output="raw"):
         assert np.array_equal(one.values, every[one.number])
     exposure = gs.expose_motion(simulator, scene, PATHS[0], start=5 / 25)
-    assert np.array_equal(every[5], simulator.device.numpy(simulator.draw(exposure, frame=5)))
+    assert np.array_equal(every[5], simulator.device.numpy(exposure.raw(first=5)))

@@ -229,9 +229,7 @@ def test_bracket_of_any_gains_in_any_order(taken):
     scene = grey(np.geomspace(0.005, 0.9, 64)[None].repeat(64, 0))
     time = simulate.expose(scene).exposure_time
     exposures = [simulate.expose(scene, part * time, gain) for part, gain in taken]
-    frame = merge_bracket(
-        simulate, [next(simulate.shoot(one, seed=k)) for k, one in enumerate(exposures)]
-    )
+    frame = merge_bracket(simulate, [one.frame(seed=k) for k, one in enumerate(exposures)])
     error = (
         frame.mean
         * exposures[0].exposure_time
@@ -243,7 +241,7 @@ def test_bracket_of_any_gains_in_any_order(taken):
         # about 1000 values each; the wrong frame would be used where it is full: up to half too dark
         assert abs(error[part].mean()) < 4.5 * error[part].std() / np.sqrt(error[part].size) < 0.03
     # display white is the frames' own: 1000 pixels of 5 % noise, and the blue of the darker third
-    alike = next(simulate.shoot(simulate.expose(scene, time), seed=9)).linear[:, 32:]
+    alike = simulate.expose(scene, time).frame(seed=9).linear[:, 32:]
     assert frame.linear[:, 32:].mean() == pytest.approx(alike.mean(), rel=0.01)
 
 
@@ -283,7 +281,7 @@ def test_single_full_pixels_are_left_out():
         dataclasses.replace(
             frame,
             raw=simulate.readout.draw_electrons(
-                electrons * frame.exposure_time / 0.01, frame.exposure_time, frame=k
+                electrons * frame.exposure_time / 0.01, frame.exposure_time, first=k
             ),
         )
         for k, frame in enumerate((short, long))
@@ -467,11 +465,8 @@ def burst(kind, level):
         for exposure in full
     ]
     if kind == "still":
-        return shifts, list(simulate.shoot(shorter[0], COUNT, seed=7))
-    return shifts, [
-        next(simulate.shoot(exposure, seed=7, first=number))
-        for number, exposure in enumerate(shorter)
-    ]
+        return shifts, list(shorter[0].frames(COUNT, seed=7))
+    return shifts, [exposure.frame(seed=7, first=number) for number, exposure in enumerate(shorter)]
 
 
 def gain_of(level, kind):
@@ -526,10 +521,7 @@ def test_what_moves_leaves_no_ghost():
         for k in range(COUNT)
     ]
     time = 0.1 * simulate.expose(scenes[0]).exposure_time
-    frames = [
-        next(simulate.shoot(simulate.expose(scene, time), seed=3, first=k))
-        for k, scene in enumerate(scenes)
-    ]
+    frames = [simulate.expose(scene, time).frame(seed=3, first=k) for k, scene in enumerate(scenes)]
     sensor = frames[0].camera.sensor
     sigma = np.sqrt(
         frames[0].mean + sensor.read_sigma**2 + 1 / (12 * sensor.gain_dn_per_electron**2)
@@ -688,8 +680,8 @@ def dim_and_lit(name="colorchecker", shadow=None, level=0.05):
         lit = dataclasses.replace(dim, content=dataclasses.replace(scene.content, shading=shading))
     simulate = simulator()
     time = level * simulate.expose(dim).exposure_time
-    ambient = next(simulate.shoot(simulate.expose(dim, time), seed=1))
-    flash = next(simulate.shoot(simulate.expose(lit), seed=2))
+    ambient = simulate.expose(dim, time).frame(seed=1)
+    flash = simulate.expose(lit).frame(seed=2)
     clean = Simulator(
         dataclasses.replace(
             simulate.camera,
@@ -699,7 +691,7 @@ def dim_and_lit(name="colorchecker", shadow=None, level=0.05):
         ),
         device="opencl:0",
     )
-    return simulate, ambient, flash, next(clean.shoot(clean.expose(dim, time))).linear
+    return simulate, ambient, flash, clean.expose(dim, time).frame().linear
 
 
 def psnr(picture, truth):

@@ -9,7 +9,7 @@ from devices import ALL_KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, UnknownName
-from gpusim.pipeline.outputs import OUTPUTS
+from gpusim.pipeline.program import OUTPUTS
 
 SIZE = (72, 56)
 CAMERA = gs.open_camera("phone")
@@ -18,7 +18,7 @@ SECONDS = 0.01
 
 def given(simulator, scene, name):
     program = simulator.program(scene, SECONDS)
-    return np.array(simulator.device.numpy(program.output(name, seed=1, frame=2)), np.float64)
+    return np.array(simulator.device.numpy(program.output(name, seed=1, first=2)), np.float64)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -83,7 +83,7 @@ def test_the_mosaic_takes_each_pixels_own_channel(device, tolerance, scene):
 def test_from_raw_on(device):
     simulator, scene = gs.Simulator(CAMERA, device=device), gs.chart("colorchecker", size=SIZE)
     program = simulator.program(scene, SECONDS)
-    frame = program.frame(seed=1, frame=2)
+    frame = program.frame(seed=1, first=2)
     planes = np.moveaxis(frame.linear, -1, 0)
     for name, wanted in (
         ("raw", frame.raw),
@@ -117,7 +117,7 @@ def test_an_output_runs_what_it_needs_and_no_more():
         program.output("electrons")
     assert not ms
     with program.simulator.device.timed() as ms:
-        program.output("raw", frame=1)
+        program.output("raw", first=1)
     assert set(ms) == {"sensor.noise"}
 
 

@@ -127,7 +127,7 @@ def test_samples_are_as_they_say(photographs, tmp_path, capsys):
     simulator = gs.Simulator(camera, device="numpy", tolerance="video")
     exposure = simulator.expose(scene, told["exposure"], told["gain"])
     raw = np.load(io.BytesIO(found["00000003"]["raw.npy"]))
-    assert np.array_equal(raw, simulator.draw(exposure, seed=0, frame=3))
+    assert np.array_equal(raw, exposure.raw(seed=0, first=3))
     clean = np.load(io.BytesIO(found["00000003"]["clean.npy"]))
     assert np.allclose(
         clean, told["black_level"] + told["gain_dn_per_e"] * exposure.mean, rtol=1e-6

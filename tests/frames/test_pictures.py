@@ -210,7 +210,7 @@ def test_a_stream_sends_bytes():
     ]
     for number, raw in enumerate(simulator.stream(scenes, "raw", seed=5, exposure_time=0.01)):
         wanted = simulator.program(decoded(scenes[number]), 0.01)
-        np.testing.assert_array_equal(np.asarray(raw), np.asarray(wanted.raw(seed=5, frame=number)))
+        np.testing.assert_array_equal(np.asarray(raw), np.asarray(wanted.raw(seed=5, first=number)))
     assert sent == [(3 * np.dtype(kind).itemsize * SHAPE[0] * SHAPE[1], kind) for kind in kinds]
 
 
@@ -218,9 +218,9 @@ def test_a_stream_sends_bytes():
 def test_batches_of_pictures(device):
     simulator = gs.Simulator(METERED, device=device)
     scenes = [gs.picture(frame(number)) for number in range(3)]
-    found = simulator.batch(3, "raw")(scenes, exposure_time=0.01, seed=7, frame=0)
+    found = simulator.batch(3, "raw")(scenes, exposure_time=0.01, seed=7, first=0)
     wanted = simulator.batch(3, "raw")(
-        [decoded(scene) for scene in scenes], exposure_time=0.01, seed=7, frame=0
+        [decoded(scene) for scene in scenes], exposure_time=0.01, seed=7, first=0
     )
     same_bits(simulator.device, found, wanted)
     assert len({np.array(part).tobytes() for part in np.array(simulator.device.numpy(found))}) == 3

@@ -115,7 +115,7 @@ class Loop:
         if key not in self.fresh:
             simulator = gs.Simulator(camera, device=self.device)
             self.fresh[key] = self.host(
-                simulator.program(scene, seconds, gain).output(output, seed=seed, frame=frame)
+                simulator.program(scene, seconds, gain).output(output, seed=seed, first=frame)
             )
         return self.fresh[key]
 
@@ -148,11 +148,11 @@ class Loop:
                 changed.get(name, old) for name, old in zip(names, self.setting, strict=True)
             )
         if self.random.random() < 0.3:
-            self.keep(self.program.frame(seed=seed, frame=frame), self.setting, seed, frame)
+            self.keep(self.program.frame(seed=seed, first=frame), self.setting, seed, frame)
         else:
             output = self.one(OUTPUTS)
             self.require(
-                self.host(self.program.output(output, seed=seed, frame=frame)),
+                self.host(self.program.output(output, seed=seed, first=frame)),
                 output,
                 self.setting,
                 seed,
@@ -173,7 +173,7 @@ class Loop:
                 strict=True,
             )
         )
-        found = self.host(self.batches[output](**lists, seed=seeds, frame=first))
+        found = self.host(self.batches[output](**lists, seed=seeds, first=first))
         for item, setting in enumerate(settings):
             self.require(found[item], output, setting, seeds[item], first + item)
 
@@ -181,17 +181,17 @@ class Loop:
         setting, seed = self.any_setting(), int(self.random.integers(2))
         simulator = self.simulator.update(setting[0])
         exposure = simulator.expose(*setting[1:])
-        self.exposures = [*self.exposures[-2:], (simulator, exposure, setting)]
-        self.keep(next(simulator.shoot(exposure, seed=seed)), setting, seed, 0)
+        self.exposures = [*self.exposures[-2:], (exposure, setting)]
+        self.keep(exposure.frame(seed=seed), setting, seed, 0)
 
     def draw(self):
         """Frames of exposures that were made before, in turns."""
         for _ in range(3 if self.exposures else 0):
-            simulator, exposure, setting = self.one(self.exposures)
+            exposure, setting = self.one(self.exposures)
             seed, frame = int(self.random.integers(3)), int(self.random.integers(3))
-            raw = simulator.draw(exposure, seed=seed, frame=frame)
+            raw = exposure.raw(seed=seed, first=frame)
             self.require(self.host(raw), "raw", setting, seed, frame)
-            self.require(self.host(simulator.codes(raw, exposure)), "codes", setting, seed, frame)
+            self.require(self.host(exposure.codes(raw)), "codes", setting, seed, frame)
 
     def stream(self):
         camera, _, seconds, gain = self.any_setting()
@@ -211,7 +211,7 @@ class Loop:
                 lambda: self.batches["codes"]([self.scenes[0], 3]),
                 lambda: (self.program or self.simulator.program(self.scenes[0])).update(gain=-1.0),
                 lambda: (self.program or self.simulator.program(self.scenes[0])).codes(seed=-1),
-                lambda: self.simulator.draw(self.simulator.expose(self.scenes[0]), frame=-1),
+                lambda: self.simulator.expose(self.scenes[0]).raw(first=-1),
             ]
         )
         with pytest.raises(GpusimError):

@@ -195,7 +195,7 @@ def test_stars_are_kept():
     exposure = sim.expose(gs.chart("points", size=(256, 192), count=60), 0.01)
     mean = np.array(sim.device.numpy(exposure.mean))
     sensor = sim.camera.sensor
-    raw = np.array(sim.device.numpy(sim.draw(exposure, seed=1)))
+    raw = np.array(sim.device.numpy(exposure.raw(seed=1)))
     gain = sensor.gain_dn_per_electron
     changed = (
         defects(
@@ -274,7 +274,7 @@ def test_a_flat_scene_comes_out_flat(device):
     exposure = gs.change_exposure_time(
         sim, exposure, 0.8 * sensor.saturation / float(sim.device.numpy(exposure.mean).max())
     )
-    raw = np.array(sim.device.numpy(sim.draw(exposure)))
+    raw = np.array(sim.device.numpy(exposure.raw()))
     gains = shading_gains(flat_response(sim.plan(scene)), 3)
     scale = 1 / (sensor.white_level - sensor.black_level)
     out = shade(
@@ -351,7 +351,7 @@ def test_a_flat_scene_comes_out_flat_from_binned_pixels(size):
     exposure = gs.change_exposure_time(
         sim, exposure, 3.2 * sensor.saturation / float(sim.device.numpy(exposure.chip_mean).max())
     )
-    raw = np.array(sim.device.numpy(sim.draw(exposure)))
+    raw = np.array(sim.device.numpy(exposure.raw()))
     response = sim.readout.mean(sim.device.array(flat_response(sim.plan(scene)).astype(np.float32)))
     gains, phases = phase_gains(response, output.cfa_indices.shape)
     scale = 1 / (output.white_level - output.dark_level)

@@ -277,7 +277,7 @@ def test_noise_profile_is_the_noise_of_the_frames(tmp_path, sensor):
                 tags["WhiteLevel"],
             )
             low, high = black[0], white[0]
-        raws = np.asarray(simulate.device.numpy(simulate.draw(exposure, seed=5, frames=64)), float)
+        raws = np.asarray(simulate.device.numpy(exposure.raw(seed=5, frames=64)), float)
         x = (raws - low) / (high - low)
         assert x.var(axis=0, ddof=1).mean() == pytest.approx(slope * x.mean() + floor, rel=0.015)
 

@@ -126,7 +126,7 @@ def test_each_pixel_sees_its_own_channel(name):
     simulate = simulator(cfa)
     exposure = simulate.expose(scene)
     mean, raw = (
-        np.array(simulate.device.numpy(array)) for array in (exposure.mean, simulate.draw(exposure))
+        np.array(simulate.device.numpy(array)) for array in (exposure.mean, exposure.raw())
     )
     nm = np.linspace(400, 700, 3001)
     light = 0.18 * scene.illuminant.at(nm) * OPTICS.irradiance_factor * 3e-6**2 * 0.01
@@ -187,7 +187,7 @@ def test_raw_of_any_mosaic_is_the_same_on_every_device(device, name):
     for changes in ({}, {"binning": (2, 2)}, {"binning": (2, 1), "binning_mode": "digital"}):
         raws = [
             Simulator(camera(MOSAICS[name], noise, **changes), device=one).readout.draw_electrons(
-                mean, 0.02, seed=5, frame=3, frames=2
+                mean, 0.02, seed=5, first=3, frames=2
             )
             for one in ("numpy", device)
         ]
@@ -349,8 +349,8 @@ def test_hot_pixels_grow_with_time_and_temperature_and_are_the_same_in_every_fra
     cold, warm = (
         simulator(noise=dataclasses.replace(noise, temperature=t), bits=32) for t in (25.0, 33.0)
     )
-    first = electrons(cold, 0.0, time=0.1, frame=0)
-    np.testing.assert_array_equal(electrons(cold, 0.0, time=0.1, frame=9, seed=5), first)
+    first = electrons(cold, 0.0, time=0.1, first=0)
+    np.testing.assert_array_equal(electrons(cold, 0.0, time=0.1, first=9, seed=5), first)
     np.testing.assert_allclose(electrons(warm, 0.0, time=0.1), 2 * first, rtol=ULP)
     np.testing.assert_allclose(electrons(cold, 0.0, time=0.3), 3 * first, rtol=2 * ULP)
     is_sample_of((first > 0).ravel(), 0.1, 0.09, fourth=(1 - 3 * 0.09) / 0.09)  # Bernoulli
@@ -437,8 +437,8 @@ def test_bracket_has_times_numbers_and_frames_of_its_own():
     assert [frame.report.frame for frame in frames] == [7, 8, 9]
     once = simulate.expose(scene)
     for number, frame in enumerate(frames):
-        (again,) = simulate.shoot(
-            gs.change_exposure_time(simulate, once, frame.exposure_time), seed=3, first=7 + number
+        again = gs.change_exposure_time(simulate, once, frame.exposure_time).frame(
+            seed=3, first=7 + number
         )
         np.testing.assert_array_equal(frame.raw, again.raw)
     # all are rendered alike: brighter by the exposure, so in equal display values but for noise and saturation
@@ -457,8 +457,8 @@ def test_burst_has_the_exposure_of_its_first_frame():
         for number, (frame, scene) in enumerate(
             zip(frames, (bright, bright, dim, dim), strict=True), 5
         ):
-            (again,) = simulate.shoot(
-                simulate.expose(scene, once.exposure_time, once.gain), seed=2, first=number
+            again = simulate.expose(scene, once.exposure_time, once.gain).frame(
+                seed=2, first=number
             )
             np.testing.assert_array_equal(frame.raw, again.raw)
         assert (frames[0].raw != frames[1].raw).mean() > 0.3
@@ -474,9 +474,7 @@ def test_burst_has_the_exposure_of_its_first_frame():
 def test_average_is_the_mean_of_the_frames(changes):
     simulate = simulator(MOSAICS["bayer-rggb"], Noise(read=2.0), **changes)
     exposure = simulate.expose(chart("ramp", size=(40, 24)))
-    frames = np.asarray(
-        simulate.device.numpy(simulate.draw(exposure, seed=2, frame=4, frames=9)), np.float64
-    )
+    frames = np.asarray(simulate.device.numpy(exposure.raw(seed=2, first=4, frames=9)), np.float64)
     mean = gs.average(simulate, exposure, 9, seed=2, first=4)
     np.testing.assert_allclose(mean, frames.mean(axis=0), rtol=1e-14)  # float64, nine additions
     for count in (0, -1, 2.5):
@@ -687,7 +685,7 @@ def test_a_moving_edge_leans_by_its_speed_times_the_row_time():
     np.testing.assert_allclose(
         place, 5 + speed * (np.arange(20) * row_time + exposure / 2), rtol=0, atol=60 * 28 * ULP
     )
-    (frame,) = simulate.shoot(moving)
+    frame = moving.frame()
     assert "sensor.shutter" in {stage.stage for stage in frame.report.stages}
 
 
@@ -952,19 +950,19 @@ def test_whole_numbers_of_any_kind_name_the_noise(device):
     mean = np.full((5, 7), 100.0)
     for kind, value in ((np.int32, 3), (np.uint32, 2**32 - 2), (np.uint64, 2**32 - 1)):
         plain, same = (
-            simulate.readout.draw_electrons(mean, 0.01, seed=number, frame=number)
+            simulate.readout.draw_electrons(mean, 0.01, seed=number, first=number)
             for number in (value, kind(value))
         )
         np.testing.assert_array_equal(same, plain)
     for wrong in (
         {"seed": -1},
         {"seed": 1.5},
-        {"frame": 2**32},
+        {"first": 2**32},
         {"frames": 0},
         {"frames": -1},
         {"frames": 70000},
     ):
-        with pytest.raises(OutOfRange, match=f"{next(iter(wrong))} = "):
+        with pytest.raises(OutOfRange, match=f"{next(iter(wrong)).replace('first', 'frame')} = "):
             simulate.readout.draw_electrons(mean, 0.01, **wrong)
 
 
@@ -976,12 +974,12 @@ def test_what_was_metered_can_be_kept():
     assert first.gain > 1
     again = simulate.expose(scene, first.exposure_time, first.gain)
     np.testing.assert_array_equal(
-        *(np.array(simulate.device.numpy(simulate.draw(one))) for one in (first, again))
+        *(np.array(simulate.device.numpy(one.raw())) for one in (first, again))
     )
     mean = np.array(simulate.device.numpy(first.mean))
     np.testing.assert_array_equal(
         simulate.readout.draw_electrons(mean, first.exposure_time, gain=first.gain),
-        np.array(simulate.device.numpy(simulate.draw(first))),
+        np.array(simulate.device.numpy(first.raw())),
     )
     for gain in (0.0, -1.0, np.nan):
         with pytest.raises(OutOfRange, match="gain"):

@@ -34,7 +34,7 @@ def camera(name="phone", noise=None, optics=None, sensor=None, **processor):
 
 def taken(simulate, scene, time, seed=1):
     """A frame of this exposure time [s]."""
-    return next(simulate.shoot(simulate.expose(scene, time), seed=seed))
+    return simulate.expose(scene, time).frame(seed=seed)
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -59,12 +59,10 @@ def test_linear_values_are_proportional_to_time_and_gain():
         camera(sensor={"bits": 16, "black_level": 1024}, demosaic="bilinear"), device="opencl"
     )
     whole = simulate.expose(scene)
-    wanted = next(simulate.shoot(whole)).linear
+    wanted = whole.frame().linear
     step = np.abs(whole.rendering.display_from_camera).sum(axis=1).max() / 64511
     for time, gain in ((0.25, 1.0), (0.25, 4.0), (0.5, 1.5)):
-        found = next(
-            simulate.shoot(simulate.expose(scene, time * whole.exposure_time, gain))
-        ).linear
+        found = simulate.expose(scene, time * whole.exposure_time, gain).frame().linear
         np.testing.assert_allclose(found, time * gain * wanted, atol=step + 1e-6)
 
 

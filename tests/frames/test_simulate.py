@@ -100,7 +100,7 @@ def test_raw_is_identical_on_all_devices_given_the_same_means(camera):
     mean = np.asarray(means.mean, np.float32)
     raws = {
         device: Simulator(open_camera(camera), device=device).readout.draw_electrons(
-            mean, means.exposure_time, seed=3, frame=2
+            mean, means.exposure_time, seed=3, first=2
         )
         for device in ALL
     }
@@ -204,7 +204,7 @@ def test_frames_differ_in_noise_alone_and_can_be_drawn_in_any_order():
     simulator = Simulator(open_camera("phone"), device="opencl")
     scene = chart("flat", size=(33, 21))
     three = list(simulator.frames(scene, 3, seed=5))
-    again = simulator(scene, seed=5, frame=2)
+    again = simulator(scene, seed=5, first=2)
     np.testing.assert_array_equal(three[2].raw, again.raw)
     assert (three[0].raw != three[1].raw).mean() > 0.5
     np.testing.assert_array_equal(three[0].mean, three[1].mean)
@@ -774,16 +774,15 @@ def test_draws_follow_each_other_each_in_an_array_of_its_own(device, noise):
     simulator, scene = Simulator(camera, device=device), chart("ramp", size=(70, 40))
     exposures = [simulator.expose(scene, 0.01), simulator.expose(scene, 0.02, 2.0)]
     asked = [(0, 1, 0), (0, 1, 1), (1, 1, 1), (1, 2**63, 2), (0, 1, 1), (0, 7, 2**32 - 1)]
-    drawn = [simulator.draw(exposures[k], seed=seed, frame=frame) for k, seed, frame in asked]
+    drawn = [exposures[k].raw(seed=seed, first=frame) for k, seed, frame in asked]
     for raw, (k, seed, frame) in zip(drawn, asked, strict=True):
-        fresh = Simulator(camera, device=simulator.device).draw(
-            exposures[k], seed=seed, frame=frame
-        )
+        other = replace(exposures[k], simulator=Simulator(camera, device=simulator.device))
+        fresh = other.raw(seed=seed, first=frame)
         np.testing.assert_array_equal(simulator.device.numpy(raw), simulator.device.numpy(fresh))
     with pytest.raises(OutOfRange, match="frame"):
-        simulator.draw(exposures[0], frame=-1)
+        exposures[0].raw(first=-1)
     np.testing.assert_array_equal(
-        simulator.device.numpy(simulator.draw(exposures[0], seed=7, frame=2**32 - 1)),
+        simulator.device.numpy(exposures[0].raw(seed=7, first=2**32 - 1)),
         simulator.device.numpy(drawn[-1]),
     )
 
@@ -796,9 +795,9 @@ def test_several_scenes_give_a_frame_each():
         chart("ramp", size=(60, 40)),
         chart("flat", size=(24, 16)),
     ]
-    alone = [simulate(scene, seed=3, frame=number) for number, scene in enumerate(scenes, 7)]
+    alone = [simulate(scene, seed=3, first=number) for number, scene in enumerate(scenes, 7)]
     for given in (scenes, tuple(scenes), iter(scenes)):
-        for found, own in zip(simulate(given, seed=3, frame=7), alone, strict=True):
+        for found, own in zip(simulate(given, seed=3, first=7), alone, strict=True):
             assert found.report.frame == own.report.frame
             np.testing.assert_array_equal(found.raw, own.raw)
             np.testing.assert_array_equal(found.rgb, own.rgb)

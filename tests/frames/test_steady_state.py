@@ -246,7 +246,7 @@ PLANNING = {"facts", "probes", "plan"}
 
 def may_read(program):
     """Names of the values in whose making the host may read the device."""
-    return PLANNING | {name for name, step in program.values._steps.items() if step.host}
+    return PLANNING | {name for name, step in program.values.steps.items() if step.host}
 
 
 class Reads:
@@ -285,15 +285,15 @@ def test_nothing_is_read_and_nothing_is_stale(device, name, monkeypatch):
         if number == 3:
             reads = Reads(device, monkeypatch)
         program.update(scene=scene)
-        raw, codes = program.raw(seed=1, frame=number), program.codes(seed=1, frame=number)
+        raw, codes = program.raw(seed=1, first=number), program.codes(seed=1, first=number)
     assert reads.steps <= may_read(program)
     assert program.values.unexpected_host_accesses() == []
     fresh = gs.Simulator(camera, device=device, **options).program(scenes[0])
     assert fresh.plan.scene is scenes[0]
     fresh.update(scene=scenes[-1])
     for ours, its in (
-        (raw, fresh.raw(seed=1, frame=FRAMES - 1)),
-        (codes, fresh.codes(seed=1, frame=FRAMES - 1)),
+        (raw, fresh.raw(seed=1, first=FRAMES - 1)),
+        (codes, fresh.codes(seed=1, first=FRAMES - 1)),
     ):
         np.testing.assert_array_equal(np.array(device.numpy(ours)), np.array(device.numpy(its)))
 
@@ -320,12 +320,12 @@ def test_nothing_is_stale_at_another_exposure_of_every_frame(device, name):
     program = gs.Simulator(camera, device=device, **options).program(scene)
     for number, seconds in enumerate((1e-3, 2e-3, 4e-3, 8e-3, 0.1)):
         found = program.update(exposure_time=seconds, gain=1 + 0.1 * number).codes(
-            seed=1, frame=number
+            seed=1, first=number
         )
     fresh = (
         gs.Simulator(camera, device=device, **options)
         .program(scene, 0.1, 1.4)
-        .codes(seed=1, frame=4)
+        .codes(seed=1, first=4)
     )
     np.testing.assert_array_equal(np.array(device.numpy(found)), np.array(device.numpy(fresh)))
 
@@ -354,6 +354,6 @@ def test_a_step_that_reads_is_found(device, monkeypatch):
     )
     reads = Reads(device, monkeypatch)
     for number, scene in enumerate(scenes_of("cube", device)):
-        program.update(scene=scene).codes(seed=1, frame=number)
+        program.update(scene=scene).codes(seed=1, first=number)
     assert "linear" in reads.steps - may_read(program)
     assert program.values.unexpected_host_accesses() == [("linear", "between the stages")]

@@ -43,7 +43,7 @@ def test_frames_of_a_stream_are_those_of_single_programs(device, output):
     )
     for number, (frame, scene) in enumerate(zip(found, scenes, strict=True), 7):
         own = simulator.program(scene, 0.01)
-        again = taken([getattr(own, output)(seed=3, frame=number)], simulator.device)[0]
+        again = taken([getattr(own, output)(seed=3, first=number)], simulator.device)[0]
         np.testing.assert_array_equal(frame, again)
 
 
@@ -62,7 +62,7 @@ def test_metered_in_the_frame_before(device):
             (at_once[number], own[number]),
         ):
             exposure = simulator.expose(scene, seconds)
-            fresh = next(simulator.shoot(exposure, seed=1, first=number)).raw.astype(float)
+            fresh = exposure.frame(seed=1, first=number).raw.astype(float)
             # metered from electrons in place of electrons a second: three roundings of 2^-24 in the time, so 2e-4 of
             # a number at most at 1023, and below 1e-3 photons at 5000: both cross a step in less than 1 % of the pixels
             assert np.count_nonzero(np.abs(frame - fresh) > 1) == 0
@@ -76,7 +76,7 @@ def test_other_kinds_and_sizes_on_the_way(device):
     scenes = [*cubes(2), gs.chart("colorchecker", size=(64, 48)), *cubes(1, (60, 40)), cubes(1)[0]]
     found = taken(simulator.stream(scenes, "raw", seed=2, exposure_time=0.01), simulator.device)
     for number, (frame, scene) in enumerate(zip(found, scenes, strict=True)):
-        fresh = taken([simulator.program(scene, 0.01).raw(seed=2, frame=number)], simulator.device)[
+        fresh = taken([simulator.program(scene, 0.01).raw(seed=2, first=number)], simulator.device)[
             0
         ]
         np.testing.assert_array_equal(frame, fresh)

@@ -61,7 +61,7 @@ def test_frames_are_those_of_scenes(device, output):
             gs.picture(np.zeros((2, 2, 3), np.uint8)).illuminant,
         )
         program = simulator.program(scene, 0.02)
-        expected = np.array(simulator.device.numpy(program.output(output, seed=1, frame=5 + item)))
+        expected = np.array(simulator.device.numpy(program.output(output, seed=1, first=5 + item)))
         if output == "codes":  # of which the device has the channels last
             expected = np.moveaxis(expected, -1, 0)
         assert found[item].shape == ((40, 48) if output in ("raw", "mean") else (3, 40, 48))

@@ -36,10 +36,8 @@ def simulators(device):
 
 def drawn(simulator, exposure, frame):
     """Digital numbers and display codes of an exposure."""
-    raw = simulator.draw(exposure, seed=7, frame=frame)
-    return [
-        np.array(simulator.device.numpy(part)) for part in (raw, simulator.codes(raw, exposure))
-    ]
+    raw = exposure.raw(seed=7, first=frame)
+    return [np.array(simulator.device.numpy(part)) for part in (raw, exposure.codes(raw))]
 
 
 def scene_of(number):
@@ -144,7 +142,7 @@ def answer(sender, work, arguments):
 def redrawn(blob):
     """Digital numbers of a pickled Simulator and Exposure."""
     simulator, exposure = pickle.loads(blob)
-    return simulator.device.name, np.array(simulator.device.numpy(simulator.draw(exposure, seed=5)))
+    return simulator.device.name, np.array(simulator.device.numpy(exposure.raw(seed=5)))
 
 
 def test_an_exposure_of_a_varying_blur_is_pickled():
@@ -163,12 +161,12 @@ def test_an_exposure_of_a_varying_blur_is_pickled():
 def test_simulators_and_exposures_go_to_other_processes(device, camera):
     simulator = gs.Simulator(gs.open_camera(camera), device=device, tolerance=1e-3)
     exposure = simulator.expose(scene_of(0))
-    raw = np.array(simulator.device.numpy(simulator.draw(exposure, seed=5)))
+    raw = np.array(simulator.device.numpy(exposure.raw(seed=5)))
     blob = pickle.dumps((simulator, exposure))
     name, there = elsewhere("spawn", redrawn, blob)
     assert name == device
     assert np.array_equal(there, raw)
-    frame = next(simulator.shoot(exposure, seed=5))
+    frame = exposure.frame(seed=5)
     assert np.array_equal(pickle.loads(pickle.dumps(frame)).rgb, frame.rgb)
 
 

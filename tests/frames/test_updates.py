@@ -81,10 +81,10 @@ def test_what_is_given_to_the_program_itself(device, scene):
         (3, 0, None, 1.0, scene),
     ):
         found = program.update(scene=shown, exposure_time=seconds, gain=gain).frame(
-            seed=seed, frame=frame
+            seed=seed, first=frame
         )
         exposure = gs.Simulator(BASE, device=device).expose(shown, seconds, gain)
-        fresh = next(simulator.shoot(exposure, seed=seed, first=frame))
+        fresh = exposure.frame(seed=seed, first=frame)
         for key in ("mean", "raw", "linear", "rgb"):
             np.testing.assert_array_equal(getattr(found, key), getattr(fresh, key))
     np.testing.assert_array_equal(found.rgb, first.rgb)
@@ -152,7 +152,7 @@ def test_every_kind_of_exposure_says_how_long_it_took(scene):
     moving = gs.expose_moving(simulator, [scene, scene], [0.0, 0.02], 0.01)
     frames = [
         *gs.bracket(simulator, scene, (0, 1)),
-        next(simulator.shoot(moving)),
+        moving.frame(),
         simulator(scene),
     ]
     for frame in frames:
@@ -227,13 +227,13 @@ def test_pictures_are_the_callers_own(scene):
     program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(
         scene
     )
-    first, second = program.frame(), program.frame(frame=1)
+    first, second = program.frame(), program.frame(first=1)
     before = second.mean.copy(), second.shading.copy()
     first.mean[...] = 0
     first.shading[...] = 0
     for array, kept in zip((second.mean, second.shading), before, strict=True):
         np.testing.assert_array_equal(array, kept)
-    np.testing.assert_array_equal(program.frame(frame=2).shading, before[1])
+    np.testing.assert_array_equal(program.frame(first=2).shading, before[1])
 
 
 def test_a_negative_gain_is_refused_at_once(scene):
@@ -318,7 +318,7 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
                 np.testing.assert_array_equal(getattr(frame, part), getattr(whole, part))
         return {*ms}
 
-    for wrong in ({"seed": -1}, {"seed": 2**64}, {"frame": 2**32}):
+    for wrong in ({"seed": -1}, {"seed": 2**64}, {"first": 2**32}):
         with pytest.raises(OutOfRange):
             simulator(scene, **wrong)
     assert stages() == set()
@@ -327,7 +327,7 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
     assert {"processor.color", "display.encode"} <= stages("rgb")
     program = simulator.program(scene, 0.01)
     first = program.frame(seed=1)
-    shot = next(simulator.shoot(program.exposure, seed=1))
+    shot = program.exposure.frame(seed=1)
     values = first.raw.copy(), first.rgb.copy()
     program.update(scene=gs.chart("flat", size=(48, 36)), exposure_time=0.02).frame(seed=2)
     for frame in (first, shot):
@@ -343,8 +343,8 @@ def test_mistakes_are_said_in_one_line():
     exposure = simulator.expose(scene, 0.01)
     codes = np.zeros((18, 24, 3), np.uint8)
     for ask in (
-        lambda: next(simulator.shoot(exposure, "2")),
-        lambda: next(simulator.shoot(exposure, 1.5)),
+        lambda: next(exposure.frames("2")),
+        lambda: next(exposure.frames(1.5)),
         lambda: next(simulator.stream([scene], first="a")),
         lambda: gs.average(simulator, exposure, "2"),
         lambda: gs.change_exposure_time(simulator, exposure, None),

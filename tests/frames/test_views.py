@@ -180,10 +180,10 @@ def test_a_loop_of_views_gives_the_frames_of_each(device):
     plan = program.plan
     for k in (0, 3, 1, 1, 4, 2, 0):
         view = scene.viewed(views[k])
-        found = np.array(simulator.device.numpy(program.update(scene=view).raw(seed=1, frame=k)))
+        found = np.array(simulator.device.numpy(program.update(scene=view).raw(seed=1, first=k)))
         assert program.plan is plan
         alone = np.array(
-            simulator.device.numpy(simulator.program(view, exposure_time=0.01).raw(seed=1, frame=k))
+            simulator.device.numpy(simulator.program(view, exposure_time=0.01).raw(seed=1, first=k))
         )
         assert np.array_equal(found, alone)
     for view in (

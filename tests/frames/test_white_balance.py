@@ -14,8 +14,7 @@ from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.malvar import malvar
-from gpusim.pipeline.developer import balance_of
-from gpusim.pipeline.shots import Shots
+from gpusim.pipeline.developer import Developer, balance_of
 from gpusim.pipeline.simulator import Simulator
 
 METHODS = {"malvar": malvar, "adaptive": adaptive, "best": best, "learned": learned}
@@ -91,7 +90,7 @@ def test_balanced_channels_come_nearer_to_a_sensor_without_mosaic(method, light)
     wanted = np.moveaxis(truth(scene).linear, -1, 0)
     simulator = Simulator(noise_free(method), device="opencl")
     exposure = simulator.expose(scene)
-    developer, raw = Shots(simulator, exposure).developer, simulator.draw(exposure)
+    developer, raw = Developer(exposure.camera, simulator.device), exposure.raw()
     errors = []
     for white in (None, exposure.rendering.neutral):
         planes = developer.demosaic(raw, white=white, blur=exposure.blur)
@@ -107,11 +106,11 @@ def test_bilinear_and_other_mosaics_take_no_notice():
     for camera in (noise_free("bilinear"), noise_free("bilinear", cfa=("RGB", "GBR", "BRG"))):
         simulator = Simulator(camera, device="opencl")
         exposure = simulator.expose(scene)
-        raw = simulator.draw(exposure)
+        raw = exposure.raw()
         planes = [
             np.array(
                 simulator.device.numpy(
-                    Shots(simulator, exposure).developer.demosaic(raw, white=white)
+                    Developer(exposure.camera, simulator.device).demosaic(raw, white=white)
                 )
             )
             for white in (None, exposure.rendering.neutral)
@@ -133,9 +132,9 @@ def test_white_that_is_clipped_stays_white(method, light):
     time = simulator.expose(scene).exposure_time
     for over in (2, 16):
         exposure = simulator.expose(scene, over * time)
-        raw = simulator.draw(exposure)
+        raw = exposure.raw()
         full = simulator.device.numpy(exposure.mean) >= exposure.camera.sensor.saturation
-        codes = simulator.device.numpy(simulator.develop(raw, exposure)[1])
+        codes = simulator.device.numpy(exposure.develop(raw)[1])
         columns = np.flatnonzero(full.any(axis=0))
         assert len(columns) > 20
         inside = codes[:, columns.min() + 8 : columns.max() - 7].astype(int)

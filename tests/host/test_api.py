@@ -18,7 +18,7 @@ from gpusim import measure
 from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.pupil import Pupil
-from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.report import Report
 
 ROOT = Path(gs.__file__).resolve().parents[1]
@@ -429,7 +429,8 @@ def run(folder: Path) -> None:
     hdr = gs.merge_bracket(simulate, frames)
     print("of a bracket", cpsnr(frames[0].linear, hdr.linear))
     hdr.save(folder / "hdr.exr")
-    print(night(simulate, checker).exposure_time, gs.Batch(camera, device="numpy")(np.ones((1, 3, 16, 16))).shape)
+    batch = gs.Batch(camera, device="numpy")
+    print(night(simulate, checker).exposure_time, batch(np.ones((1, 3, 16, 16))).shape)
     try:
         gs.open_scene("colorchekcer")
     except gs.GpusimError as error:

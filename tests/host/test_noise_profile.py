@@ -149,7 +149,7 @@ def test_raw_values_have_the_variance_of_the_profile(profile):
     size = profile.white_level - profile.black_level
     for number, level in enumerate(levels):
         raw = readout.draw(
-            np.full((300, 400), level / profile.scale, np.float32), 0.0, seed=3, frame=number
+            np.full((300, 400), level / profile.scale, np.float32), 0.0, seed=3, first=number
         )
         x = (np.asarray(raw, np.float64) - profile.black_level) / size
         wanted = profile.scale * level + profile.offset
@@ -268,7 +268,7 @@ def test_photon_transfer_makes_a_sensor():
 
     def frames(electrons, count, first):
         mean = np.full((128, 128), electrons, np.float32)
-        return np.asarray(readout.draw(mean, 0.0, seed=5, frame=first, frames=count))
+        return np.asarray(readout.draw(mean, 0.0, seed=5, first=first, frames=count))
 
     electrons = 8000 / 38 * np.arange(1, 41)
     found = gs.photon_transfer(

@@ -16,6 +16,7 @@ import pytest
 import gpusim as gs
 from gpusim.kernels.stage import public_function, stage_names
 
+NUMBERS = ("frame", "frame_number", "first_frame", "frames_from", "start", "number")
 RAISES = re.compile(r"^\s*raise (?!NotImplementedError|AssertionError|StopIteration)[A-Z]", re.M)
 
 
@@ -172,3 +173,24 @@ def test_the_check_finds_faults(fault, monkeypatch):
     for part in (Bare, Bare.__init__, Bare.cut):
         monkeypatch.setattr(part, "__module__", "gpusim.sample")
     assert fault in list(faults_of("Bare", Bare, set()))
+
+
+def test_frames_are_numbered_by_first():
+    """A frame's number, or the number of the first of several, is `first` everywhere but in stages, which draw."""
+    other, by_first = [], set()
+    for path, value in public_names():
+        if path.startswith("stage "):
+            continue
+        for key, member in members(value) if inspect.isclass(value) else [("", value)]:
+            if not inspect.isfunction(member):
+                continue
+            name = f"{path}.{key}" if key else path
+            for parameter in inspect.signature(member).parameters.values():
+                if parameter.name == "first":
+                    by_first.add(name)
+                elif parameter.name in NUMBERS and "int" in str(parameter.annotation):
+                    other.append(f"{name}({parameter})")
+    assert not other
+    assert {"Simulator.__call__", "Simulator.frames", "Exposure.raw", "Exposure.frames"} <= by_first
+    assert {"Program.raw", "Program.codes", "Program.frame", "Program.output"} <= by_first
+    assert {"Readout.draw", "Batch.__call__", "burst", "bracket", "average"} <= by_first

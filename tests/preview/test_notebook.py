@@ -128,7 +128,7 @@ def test_what_settles_is_what_a_simulator_makes(widget):
             luminance=widget.state.luminance or 100.0,
         )
         frame = gs.Simulator(widget.camera, device="opencl", tolerance=widget.state.asked)(
-            scene, seed=widget.state.seed, frame=widget.state.frame
+            scene, seed=widget.state.seed, first=widget.state.frame
         )
         assert np.array_equal(shown, frame.rgb), name
     assert np.array_equal(widget.frame().raw, frame.raw) and widget.state.frame == 7

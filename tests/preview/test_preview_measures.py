@@ -158,7 +158,7 @@ def test_scenes_that_move_are_those_of_a_video():
         scene = next(scenes.between(number, number + 1))
         assert np.array_equal(
             producer.picture(STATE, number).codes,
-            gs.Simulator(STATE.build(), device="opencl")(scene, frame=number).rgb,
+            gs.Simulator(STATE.build(), device="opencl")(scene, first=number).rgb,
         )
         assert np.array_equal(
             producer.frame(STATE, number).rgb, producer.picture(STATE, number).codes

@@ -417,7 +417,7 @@ def test_mean_variance_and_skewness_of_the_complete_chain(chip, photon, mean, er
     for seed in range(chips):
         readout = Readout(replace(SENSOR, noise=replace(chip, photon=photon, seed=seed)), device)
         expected = readout.chip_mean(device.array(np.full((size, size), mean, f32)), seconds)
-        raw = device.numpy(readout.draw(expected, seconds, seed=seed, frame=100 + seed)).astype(
+        raw = device.numpy(readout.draw(expected, seconds, seed=seed, first=100 + seed)).astype(
             np.float64
         )
         assert raw.min() > 0
@@ -443,7 +443,7 @@ def test_all_parameters_are_recovered_from_two_frames():
     readout = Readout(sensor, device)
     expected = readout.chip_mean(np.full((512, 512), level, f32), 1.0)
     first, second = (
-        readout.draw(expected, 1.0, frame=frame).astype(np.float64).ravel() for frame in (0, 1)
+        readout.draw(expected, 1.0, first=frame).astype(np.float64).ravel() for frame in (0, 1)
     )
     n, fixed = first.size, (chip.prnu * level) ** 2 + chip.dsnu**2
     # EMVA 1288: differences of frames hold the temporal variance, their covariance the fixed one; 1/12 is the rounding
@@ -468,10 +468,10 @@ def test_patterns_belong_to_the_chip_and_temporal_noise_to_the_frame():
         return readout.draw(readout.chip_mean(mean, 1.0), 1.0, **place)
 
     fixed = Noise(photon="none", prnu=0.1, dsnu=1.0)
-    np.testing.assert_array_equal(draw(fixed, frame=1, seed=2), draw(fixed, frame=7))
+    np.testing.assert_array_equal(draw(fixed, first=1, seed=2), draw(fixed, first=7))
     assert not np.any(draw(fixed) == draw(replace(fixed, seed=2**32)))  # its high half
     temporal = Noise(read=1.0)
-    np.testing.assert_array_equal(draw(temporal, frame=3), draw(replace(temporal, seed=8), frame=3))
+    np.testing.assert_array_equal(draw(temporal, first=3), draw(replace(temporal, seed=8), first=3))
     assert not np.any(
         draw(Noise(photon="none", read=1.0)) == draw(Noise(photon="none", read=1.0), seed=2**32)
     )

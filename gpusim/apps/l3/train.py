@@ -167,7 +167,7 @@ def simulate_pairs(
             brighter = strength * sensor.saturation / (rates.max() * time)
             part = _window(scene.shape, sensor.cfa_indices.shape, random)
             mean, frame = electrons[part] * brighter, number * steps + step
-            raw = simulator.readout.draw_electrons(mean, time, seed=seed, frame=frame)
+            raw = simulator.readout.draw_electrons(mean, time, seed=seed, first=frame)
             span = sensor.white_level - sensor.dark_level
             white = brighter * best * time * sensor.gain_dn_per_electron / span
             yield Pair(raw, wanted[:, *part] * white, white)

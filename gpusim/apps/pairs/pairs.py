@@ -84,12 +84,12 @@ class Pairs:
         gain = gain_of(simulator.camera, values.get("iso"))
         program = simulator.program(scene, values.get("exposure"), gain, plan=self._plan)
         exposure, account = program.exposure, program.account
-        raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, frame=number)))
+        raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, first=number)))
         sensor = exposure.camera.sensor
-        light = program.shots.mean_of_pixels() * np.float32(sensor.gain_dn_per_electron)
+        light = program.values["mean of pixels"] * np.float32(sensor.gain_dn_per_electron)
         pair = {"raw": exposure.split_layers(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
-            codes = program.codes(seed=self._seed, frame=number)
+            codes = program.codes(seed=self._seed, first=number)
             pair["rgb"] = np.array(simulator.device.numpy(codes))
         record = {
             "photograph": self._photographs[number // self._each].name,

@@ -139,8 +139,7 @@ class Producer:
         checker = self._checker[1]
         if part is None and checker is None:
             return found
-        shots = program.shots
-        linear, rendering = shots.linear(shots.raw(state.seed, number))
+        linear, rendering = program.linear(seed=state.seed, first=number)
         linear = np.moveaxis(self._on_host(linear), 0, -1)
         if part is not None:
             found["edge"] = edge(linear, part)
@@ -195,10 +194,10 @@ class Producer:
         return on_host(self._device, array)
 
     def _render(self, program, seed, number):
-        return self._on_host(program.codes(seed=seed, frame=number))
+        return self._on_host(program.codes(seed=seed, first=number))
 
     def _raw(self, program, seed, number):
-        raw = self._on_host(program.raw(seed=seed, frame=number))
+        raw = self._on_host(program.raw(seed=seed, first=number))
         sensor = program.exposure.camera.sensor
         span = sensor.white_level - sensor.black_level
         codes = _encode((raw - np.float32(sensor.black_level)) / span)
@@ -211,7 +210,7 @@ class Producer:
 
     def _noise(self, program, seed, number):
         exposure, sensor = program.exposure, program.exposure.camera.sensor
-        raw = exposure.split_layers(self._on_host(program.raw(seed=seed, frame=number)))
+        raw = exposure.split_layers(self._on_host(program.raw(seed=seed, first=number)))
         mean = exposure.split_layers(self._on_host(exposure.mean))
         expected = np.minimum(
             mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level

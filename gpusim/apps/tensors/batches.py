@@ -41,7 +41,7 @@ class Batch:
     Args:
         camera: Camera.
         device: Name of the device, or a Device.
-        output: Name of `gpusim.pipeline.outputs.OUTPUTS`, for example "raw", "linear" or "codes".
+        output: Name of `gpusim.pipeline.program.OUTPUTS`, for example "raw", "linear" or "codes".
         wavelengths: Wavelengths of the channels [nm], shape (L,). None: linear sRGB (3 channels) or
             grey (1).
         light: Light of `illuminant` in which the pictures are reflectances, white 1. None: spectral
@@ -138,14 +138,14 @@ class Batch:
         settings["camera"] = camera
         if self.simulator.tolerance is None or self._plan is not None:
             batch = self._batch(shape)
-            frames = batch(scenes, seed=seed, frame=first, **settings)
+            frames = batch(scenes, seed=seed, first=first, **settings)
             self.plans = batch.plans
             return self._return_frames(pictures, frames)
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
         batches, frames = [self.simulator.batch(1, self.output) for _ in scenes], []
         for item, (batch, scene) in enumerate(zip(batches, scenes, strict=True)):
             own = {name: given[item] for name, given in each.items()}
-            one = batch(scene, seed=seed, frame=first + item, **own)
+            one = batch(scene, seed=seed, first=first + item, **own)
             frames.append(np.array(self.simulator.device.numpy(one)))
         self.plans = [batch.plans[0] for batch in batches]
         return self._return_frames(pictures, np.concatenate(frames))

@@ -210,7 +210,7 @@ def meter_scenes(
                 exposure = program.exposure
                 seconds.append(log(exposure.exposure_time * exposure.gain))
                 if lags.white is not None:
-                    values = program.shots.linear(program.raw(seed=seed, frame=number))[1].neutral
+                    values = program.linear(seed=seed, first=number)[1].neutral
                     white.append(np.log(np.maximum(values, 1e-6)))
             seen()
     return Loops(

@@ -25,7 +25,7 @@ from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
-from gpusim.pipeline.frame import Exposure
+from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.simulator import Simulator
 
 NO_RAMPS = Ramps()
@@ -159,13 +159,13 @@ def blurred_frames(
             exposure = expose_motion(simulator, scene, scenes.motion, **when)
             values: Any
             if output is None:
-                values = next(simulator.shoot(exposure, seed=seed, first=number)).complete()
+                values = exposure.frame(seed=seed, first=number).complete()
             else:
-                values = simulator.draw(exposure, seed=seed, frame=number)
+                values = exposure.raw(seed=seed, first=number)
                 if output == "codes":
-                    values = simulator.codes(values, exposure)
+                    values = exposure.codes(values)
                 elif output != "raw":
-                    values = simulator.develop(values, exposure)[0]
+                    values = exposure.develop(values)[0]
                 values = _on_host(simulator, values, output)
             account = exposure.plan.account.at(exposure.exposure_time)
             yield Made.of(number, values, account, exposure)
@@ -173,11 +173,11 @@ def blurred_frames(
 
 def _make_frame(program, number, seed, output):
     """Return a frame of a program."""
-    account, exposure = program.account, program.shots.exposure
+    account, exposure = program.account, program.expose()
     if output is None:
-        values = program.frame(seed=seed, frame=number).complete()
+        values = program.frame(seed=seed, first=number).complete()
     else:
-        values = program.output(output, seed=seed, frame=number)
+        values = program.output(output, seed=seed, first=number)
         values = _on_host(program.simulator, values, output)
     return Made.of(number, values, account, exposure)
 

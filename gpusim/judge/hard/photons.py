@@ -183,9 +183,9 @@ def seeds(device):
     for one in (device, open_device("numpy")):
         readout = Readout(replace(SENSOR, noise=CHIP), one)
         expected = readout.chip_mean(one.array(mean), 0.5)
-        drawn.append(np.array(one.numpy(readout.draw(expected, 0.5, seed=7, frame=20, frames=3))))
+        drawn.append(np.array(one.numpy(readout.draw(expected, 0.5, seed=7, first=20, frames=3))))
         backwards = [
-            np.array(one.numpy(readout.draw(expected, 0.5, seed=7, frame=frame)))
+            np.array(one.numpy(readout.draw(expected, 0.5, seed=7, first=frame)))
             for frame in (22, 21, 20)
         ]
         wrong += np.count_nonzero(drawn[-1] != np.stack(backwards[::-1]))

@@ -134,7 +134,7 @@ def many_frames(device):
         sensor = replace(WITHOUT_CONVERTER, bits=bits, gain=1.0, noise=Noise(read=1.0))
         readout, number = Readout(sensor, device), int if bits == 16 else float
         expected = device.array(np.array([[6e4, 59999.0, 1.0]], f32))
-        drawn = [readout.draw(expected, 1.0, seed=2, frame=5 + frame) for frame in range(700)]
+        drawn = [readout.draw(expected, 1.0, seed=2, first=5 + frame) for frame in range(700)]
         frames = np.array([device.numpy(one)[0] for one in drawn])
         exact = np.array([sum(map(number, one.tolist())) / 700 for one in frames.T])
         lost = np.abs(readout.average(expected, 1.0, 700, seed=2, first=5)[0] / exact - 1).max()
