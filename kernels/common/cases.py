@@ -25,13 +25,17 @@ MOSAICS = {
 }
 FLAT = {
     "raw": np.full((9, 9), 4096 + 64, np.uint16),
-    **{"phase": "RGGB", "black_level": 64.0, "scale": 1 / 4096},
+    "phase": "RGGB",
+    "black_level": 64.0,
+    "scale": 1 / 4096,
 }
 SATURATED = exact_case(
     "saturated",
     "a flat field stays flat, and 16-bit integers are exact",
     raw=np.full((6, 6), 65535, np.uint16),
-    **{"phase": "RGGB", "black_level": 0.0, "scale": 1.0},
+    phase="RGGB",
+    black_level=0.0,
+    scale=1.0,
 )
 
 

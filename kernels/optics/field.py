@@ -329,7 +329,10 @@ def cases():
             "kernels": (kernels / m**2).astype(np.float32),
             "index": random.integers(0, 7, (number, terms)).astype(np.int32),
             "mix": random.random((channels, count)).astype(np.float32),
-            **{"edges": edges, "border": border, "threshold": threshold, "base": None},
+            "edges": edges,
+            "border": border,
+            "threshold": threshold,
+            "base": None,
             "margin": {15: 3, 21: -2}.get(m, 0),
         }
         if m == 15:

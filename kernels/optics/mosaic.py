@@ -243,7 +243,9 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, period[0] // 2 + 1, period[1] // 2 + 1), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        **{"cfa": RGGB, "border": "edge", "period": period},
+        "cfa": RGGB,
+        "border": "edge",
+        "period": period,
     }
 
 

@@ -151,5 +151,7 @@ def bench(rows, cols):
         "outline": Pupil(),
         "waves": (550 / wavelengths)[:, None, None] * disc_power(1),
         "q": wavelengths * 1e-9 * 1.8 / 1.4e-6,
-        **{"aperture": 1.0, "rows": rows, "cols": cols},
+        "aperture": 1.0,
+        "rows": rows,
+        "cols": cols,
     }

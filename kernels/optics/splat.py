@@ -85,7 +85,8 @@ def cases():
         places[0, :2] = 0
         lights = {
             "mosaic": np.full((rows, cols), 1e-3, np.float32),
-            **{"cfa": RGGB, "places": places.astype(np.int32)},
+            "cfa": RGGB,
+            "places": places.astype(np.int32),
             "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
         }
         spread = {"cores": cores, "profiles": profiles, "step": 0.05}
@@ -103,8 +104,12 @@ def bench(rows, cols):
     places = np.stack([*places, np.arange(16), np.full(16, max(rows, cols))], axis=1)
     return {
         "mosaic": mosaic,
-        **{"cfa": RGGB, "places": places.astype(np.int32), "strength": np.ones(16, np.float32)},
+        "cfa": RGGB,
+        "places": places.astype(np.int32),
+        "strength": np.ones(16, np.float32),
         "cores": random.random((16, 3, 33, 33), np.float32),
         "profiles": random.random((16, 3, length), np.float32),
-        **{"step": 1 / 64, "parts": 2, "spread": 0.5},
+        "step": 1 / 64,
+        "parts": 2,
+        "spread": 0.5,
     }

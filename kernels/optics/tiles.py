@@ -335,7 +335,10 @@ def bench(rows, cols):
         "planes": random.random((4, rows, cols), np.float32),
         "tables": random.random((3, 4, 33, 33), np.float32),
         "mix": np.ones((3, 4), np.float32),
-        **{"cfa": RGGB, "border": "edge", "side": 64, "overlap": 8},
+        "cfa": RGGB,
+        "border": "edge",
+        "side": 64,
+        "overlap": 8,
     }
 
 

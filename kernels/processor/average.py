@@ -173,7 +173,8 @@ def cases():
         "equal whole numbers, their sum and its quarter are exact",
         raw=np.full((4, 20, 20), 65535, np.uint16),
         displacement=np.zeros((4, 1, 1, 2), np.float32),
-        **{"black_level": 0.0, "noise": (1.0, 1.0)},
+        black_level=0.0,
+        noise=(1.0, 1.0),
     )
 
 

@@ -216,5 +216,8 @@ def bench(rows, cols):
     return {
         "raw": random.poisson(400, (rows, cols)).astype(np.uint16),
         "known": (random.random((rows, cols)) < 1e-3).astype(np.uint8),
-        **{"cfa": RGGB, "black_level": 64.0, "noise": (1.0, 3.0), "detect": 6.0},
+        "cfa": RGGB,
+        "black_level": 64.0,
+        "noise": (1.0, 3.0),
+        "detect": 6.0,
     }

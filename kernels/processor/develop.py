@@ -142,9 +142,14 @@ def _case(
         name,
         "rounding moves a value by (2 + 3) 2^-24 of the sum of its terms at most (see bilinear and color), "
         "less than its distance from every threshold: the codes are equal",
-        **{"raw": raw, "matrix": matrix, "thresholds": edges.astype(np.float32)},
-        **{"phase": phase, "black_level": black_level, "scale": scale},
-        **{"ceiling": ceiling, "converter": converter},
+        raw=raw,
+        matrix=matrix,
+        thresholds=edges.astype(np.float32),
+        phase=phase,
+        black_level=black_level,
+        scale=scale,
+        ceiling=ceiling,
+        converter=converter,
     )
 
 

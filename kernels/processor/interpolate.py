@@ -243,7 +243,9 @@ def cases():
         "saturated",
         "Bayer weights are powers of two or, at borders, their sums: the mean of equal 16-bit integers is exact",
         raw=np.full((40, 50), 65535, np.uint16),
-        **{"cfa": RGGB, "black_level": 0.0, "scale": 1.0},
+        cfa=RGGB,
+        black_level=0.0,
+        scale=1.0,
     )
 
 

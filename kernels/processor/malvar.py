@@ -99,7 +99,9 @@ def cases():
         "black and saturated",
         "16ths of whole numbers below 2^22 are exact",
         raw=checkers.astype(np.uint16),
-        **{"phase": "GBRG", "black_level": 0.0, "scale": 1.0},
+        phase="GBRG",
+        black_level=0.0,
+        scale=1.0,
     )
     yield SATURATED
 

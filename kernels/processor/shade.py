@@ -102,7 +102,9 @@ def cases():
         "gain 1: three roundings are below 61439 x 3 x 2^-24 < .02, and the exact result is a whole number",
         raw=random.integers(0, 65536, (20, 30), np.uint16),
         gains=np.ones((3, 3, 3), np.float32),
-        **{"cfa": RGGB, "black_level": 4096.0, "scale": 1 / 61439},
+        cfa=RGGB,
+        black_level=4096.0,
+        scale=1 / 61439,
     )
 
 

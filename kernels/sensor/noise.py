@@ -299,5 +299,9 @@ def bench(rows, cols):
         "offset": random.normal(0, 1, (rows, cols)).astype(np.float32),
         "amplitude": amplitude,
         **NOISES,
-        **{"full_well": 1e4, "gain": 0.4, **LEVELS, "telegraph_switching": 0.1, "frame": 100},
+        "full_well": 1e4,
+        "gain": 0.4,
+        **LEVELS,
+        "telegraph_switching": 0.1,
+        "frame": 100,
     }
