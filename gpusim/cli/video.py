@@ -69,7 +69,7 @@ def _make_flicker(text, **numbers):
 
 def shard_option(part: str) -> Any:
     """Return the field of the option --shard. part: what a shard makes, in words."""
-    parts = {"default": Shard(), "type": Shard.parse, "metavar": "I/N", "in_key": False}
+    parts: dict = {"default": Shard(), "type": Shard.parse, "metavar": "I/N", "in_key": False}
     return option(help=f"make only {part}", **parts)
 
 
@@ -211,7 +211,7 @@ def video(request: VideoRequest) -> int:
         loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
     make = blurred_frames if request.blur or request.flicker or request.pwm else frames
-    settings = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
+    settings: dict = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
     with keep_manifest(manifest, made, target.words, target.is_empty):
         written = target.write(partial(make, simulator, scenes, **settings), own)
         return _report(target, written, own, simulator.tolerance, Plans(manifest))
