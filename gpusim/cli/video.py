@@ -68,7 +68,7 @@ def _make_flicker(text, **numbers):
 
 
 def shard_option(part: str) -> Any:
-    """Return the field of the option --shard. part: what a shard makes, in words."""
+    """Return the field of the option --shard. part: the part that a shard makes, in words."""
     parts: dict = {"default": Shard(), "type": Shard.parse, "metavar": "I/N", "in_key": False}
     return option(help=f"make only {part}", **parts)
 
