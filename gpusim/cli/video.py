@@ -210,7 +210,8 @@ def video(request: VideoRequest) -> int:
         known = Loops.read_manifest(manifest, request.lag, scenes.count)
         loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
-    make = blurred_frames if request.blur or request.flicker or request.pwm else frames
+    is_blurred = request.blur or request.flicker or request.pwm
+    make: Any = blurred_frames if is_blurred else frames
     settings: dict = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
     with keep_manifest(manifest, made, target.words, target.is_empty):
         written = target.write(partial(make, simulator, scenes, **settings), own)

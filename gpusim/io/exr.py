@@ -98,8 +98,8 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
         notes = [*notes, f"depth is channel {held.depth!r}; not read: {others}"]
     kind = "rgb" if held.is_picture else held.kind
     nodes = None if held.is_picture else np.array([nm for _, nm in held.channels])
-    name = None if distances is None else held.depth
-    return Exr(kind, nodes, values, name, distances, tuple(notes))
+    source = None if distances is None else held.depth
+    return Exr(kind, nodes, values, source, distances, tuple(notes))
 
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):

@@ -80,7 +80,8 @@ def unlike_reference(device, photon, mean) -> Found:
     found, wanted = (
         electrons(mean, one, photon=photon, seed=5) for one in (device, open_device("numpy"))
     )
-    return Found(np.count_nonzero(found != wanted), 0, "counts that are not the reference's")
+    count = int(np.count_nonzero(found != wanted))
+    return Found(count, 0, "counts that are not the reference's")
 
 
 @case(
