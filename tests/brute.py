@@ -3,7 +3,7 @@
 import numpy as np
 
 from gpusim.domain.content import Basis, Cube
-from gpusim.kernels.optics.airy import airy
+from gpusim.judge.hard.truth import folded_otf, mosaic_of
 
 BEYOND = 64  # [pixel] that the edge pixels go on
 
@@ -23,13 +23,15 @@ class Brute:
     period: of the transforms, or None: BEYOND pixels more on each side. What wraps around differs with it.
     """
 
+    mosaic = staticmethod(mosaic_of)
+
     def __init__(self, q, shape, aperture=1.0, period=None):
         self.shape = shape
         self.period = period or tuple(n + 2 * BEYOND for n in shape)
         self.before = tuple((length - n) // 2 for length, n in zip(self.period, shape, strict=True))
-        quarter = airy(q, aperture, *self.period, device="numpy")
-        fold = np.minimum(np.arange(self.period[0]), self.period[0] - np.arange(self.period[0]))
-        self.tables = quarter[:, fold]
+        half = self.period[1] // 2 + 1
+        tables = [folded_otf(float(one), self.period, aperture)[:, :half] for one in q]
+        self.tables = np.stack(tables)
 
     def transform(self, planes, mode="edge"):
         pad = [
@@ -41,12 +43,6 @@ class Brute:
     def crop(self, spectrum):
         (y, x), (rows, cols) = self.before, self.shape
         return np.fft.irfft2(spectrum, self.period)[..., y : y + rows, x : x + cols]
-
-    def mosaic(self, channels, cfa):
-        y, x = np.indices(self.shape)
-        return np.take_along_axis(
-            channels, np.asarray(cfa)[y % len(cfa), x % len(cfa[0])][None], 0
-        )[0]
 
     def truth(self, transformed, weights, cfa):
         """The mosaic, band by band."""

@@ -212,7 +212,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 
 def seed_option(of: str) -> Any:
-    """Return the field of an option --seed. of: what it seeds, in words."""
+    """Return the field of an option --seed. of: the things that it seeds, in words."""
     return option(default=0, type=whole(0, 2**64 - 1), help=f"seed of {of} (default: 0)")
 
 

@@ -125,7 +125,7 @@ def pairs(request: PairsRequest) -> int:
     own = request.shard.of(shards, "--in-shard")
     request.refuse_unread("pairs")
     make_folder(folder)
-    others = {"photographs": [str(path) for path in photographs]}
+    others: dict = {"photographs": [str(path) for path in photographs]}
     others["vary"] = {name: list(values) for name, values in varied.items()}
     content = describe_run(simulator, photographs, request.key(), **others)
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}

@@ -89,10 +89,10 @@ def preview(request: PreviewRequest) -> int:
             f"{request.host}: anyone who reaches this address may use this preview and its device"
         )
     print(f"http://{request.host}:{request.port}/  (Ctrl+C ends it)", flush=True)
-    quiet = {"show": False, "show_welcome_message": False, "uvicorn_logging_level": "error"}
-    socket = {"ws_per_message_deflate": False, "ws_max_size": 2**16}
-    address = {"host": request.host, "port": request.port}
-    ui.run(**address, **quiet, **socket, reload=False, title="gpusim")
+    quiet: dict = {"show": False, "show_welcome_message": False, "uvicorn_logging_level": "error"}
+    web: dict = {"ws_per_message_deflate": False, "ws_max_size": 2**16}
+    address: dict = {"host": request.host, "port": request.port}
+    ui.run(**address, **quiet, **web, reload=False, title="gpusim")
     return 0
 
 

@@ -68,8 +68,8 @@ def _make_flicker(text, **numbers):
 
 
 def shard_option(part: str) -> Any:
-    """Return the field of the option --shard. part: what a shard makes, in words."""
-    parts = {"default": Shard(), "type": Shard.parse, "metavar": "I/N", "in_key": False}
+    """Return the field of the option --shard. part: the part that a shard makes, in words."""
+    parts: dict = {"default": Shard(), "type": Shard.parse, "metavar": "I/N", "in_key": False}
     return option(help=f"make only {part}", **parts)
 
 
@@ -210,8 +210,9 @@ def video(request: VideoRequest) -> int:
         known = Loops.read_manifest(manifest, request.lag, scenes.count)
         loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
-    make = blurred_frames if request.blur or request.flicker or request.pwm else frames
-    settings = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
+    is_blurred = request.blur or request.flicker or request.pwm
+    make: Any = blurred_frames if is_blurred else frames
+    settings: dict = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
     with keep_manifest(manifest, made, target.words, target.is_empty):
         written = target.write(partial(make, simulator, scenes, **settings), own)
         return _report(target, written, own, simulator.tolerance, Plans(manifest))

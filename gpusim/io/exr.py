@@ -96,11 +96,10 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     if distances is not None and held.other_depths:
         others = ", ".join(held.other_depths[:4])
         notes = [*notes, f"depth is channel {held.depth!r}; not read: {others}"]
-    kind, nodes = "rgb", None
-    if not held.is_picture:
-        kind, nodes = held.kind, np.array([nm for _, nm in held.channels])
-    name = None if distances is None else held.depth
-    return Exr(kind, nodes, values, name, distances, tuple(notes))
+    kind = "rgb" if held.is_picture else held.kind
+    nodes = None if held.is_picture else np.array([nm for _, nm in held.channels])
+    source = None if distances is None else held.depth
+    return Exr(kind, nodes, values, source, distances, tuple(notes))
 
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):

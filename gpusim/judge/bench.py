@@ -104,7 +104,7 @@ def bench(
     """
     limits = ceilings(device) if limits is None else limits
     for name in stages or stage_names():
-        row = {"stage": name, "device": device.name}
+        row: dict = {"stage": name, "device": device.name}
         failed = []
         if device.kind != "numpy":
             failed = [found for found in verify(device, [name]) if not found["ok"]]

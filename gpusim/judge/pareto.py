@@ -83,7 +83,7 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
             continue
         seen.add(words)
         kind = ("exact", "exact") if tolerance is None else (f"{tolerance:g}", "plan")
-        more = {"tolerance": tolerance, "words": words, "predicted": plan.account.total.rms}
+        more: dict = {"tolerance": tolerance, "words": words, "predicted": plan.account.total.rms}
         more["predicted_ms"] = sum(frame_ms(simulator, plan, speeds).values())
         yield row(*kind, ms, mean, **more, met=plan.verdict and plan.verdict.is_met)
     for name, made in _naive(camera, scene, seconds).items():

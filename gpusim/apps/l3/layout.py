@@ -48,8 +48,8 @@ def layout(
     detail = (np.array(OWN_COLOR), np.array(OWN_COLOR)) if pairs else None
     shares = np.array(SHARES if pairs else ())
     samples = taps, groups.ravel(), (contrast[0], contrast[1]), box
-    classes = np.array(RATIOS), sigma, floor, strengths, np.array(levels), detail, shares
-    return Layout(tuple(mosaic), tuple(outputs), domain, *samples, *classes)
+    classes = np.array(RATIOS), sigma, floor, strengths, np.array(levels)
+    return Layout(tuple(mosaic), tuple(outputs), domain, *samples, *classes, detail, shares)
 
 
 def difference(period):

@@ -107,7 +107,7 @@ def train(
     time = sensor.exposure_time
     made = [f"{generated} generated"] if generated else []
     made += [scene.name for scene in scenes[generated:]]
-    provenance = {
+    provenance: dict = {
         "program": f"gpusim {__version__}",
         "date": f"{datetime.date.today()}",
         "camera": camera.name,
@@ -204,7 +204,7 @@ def training_camera(camera: Camera) -> Camera:
         raise OutOfRange("sensor.binning", sensor.binning, allowed)
     optics = dataclasses.replace(optics, distortion=None, relative_illumination="none")
     noise = dataclasses.replace(sensor.noise, hot_pixels=0.0, dead_pixels=0.0)
-    centred = {"offset": (0.0, 0.0), "microlens": None, "vignetting": None}
+    centred: dict = {"offset": (0.0, 0.0), "microlens": None, "vignetting": None}
     sensor = dataclasses.replace(sensor, noise=noise, **centred)
     processor = dataclasses.replace(camera.processor, demosaic="bilinear", table=None)
     return dataclasses.replace(camera, optics=optics, sensor=sensor, processor=processor)
@@ -228,7 +228,7 @@ def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], 
     letters = tuple("RGB") if {*"RGB"} <= {*sensor.channels} else sensor.channels[:3]
     method = "white-preserving" if processor.color == "none" else processor.color
     seen, surfaces = efficiency(camera, letters), processor.training
-    how = {"method": method, "target_light": processor.target, "channels": letters}
+    how: dict = {"method": method, "target_light": processor.target, "channels": letters}
     transform = color_matrix(seen, light, surfaces, **how)
     return letters, np.linalg.inv(transform.xyz)
 
@@ -249,7 +249,7 @@ def training_layout(mosaic, outputs, code: Code, lowest: float) -> Layout:
     ratios = np.array((12, 24) if positions <= 16 else (16,))
     weights = made.contrast[0] / (abs(made.contrast[0]).sum() / 2)
     strengths = np.hypot(CLEAN, NOISY * np.linalg.norm(weights) / np.sqrt(0.75) * code.sigma)[None]
-    classes = {"ratios": ratios, "detail": None, "shares": np.zeros(0, np.int32)}
+    classes: dict = {"ratios": ratios, "detail": None, "shares": np.zeros(0, np.int32)}
     floor = np.array([0.5 / 255])
     return dataclasses.replace(made, strengths=strengths, floor=floor, **classes)
 

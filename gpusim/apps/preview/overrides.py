@@ -32,9 +32,9 @@ class Given(State):
         )
         optics["wavefront"] = replace(camera.optics.wavefront, zernike=optics.pop("zernike"))
         sensor["noise"] = replace(camera.sensor.noise, **noise)
-        parts = {"optics": optics, "sensor": sensor, "processor": processor}
-        changed = {name: replace(getattr(camera, name), **part) for name, part in parts.items()}
-        return replace(camera, **changed)
+        lens, chip = replace(camera.optics, **optics), replace(camera.sensor, **sensor)
+        processor = replace(camera.processor, **processor)
+        return replace(camera, optics=lens, sensor=chip, processor=processor)
 
 
 def table_of(camera: Camera) -> dict:

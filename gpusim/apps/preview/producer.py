@@ -73,8 +73,8 @@ class Producer:
         plan = program.plan
         tolerance = None if plan.is_draft else program.simulator.tolerance
         verdict = None if tolerance is None else account.verdict(tolerance)
-        facts = {"error": account.total.rms, "left out": plan.left_out, "draft": plan.is_draft}
-        facts["verdict"] = verdict and verdict.state
+        facts: dict = {"error": account.total.rms, "left out": plan.left_out}
+        facts |= {"draft": plan.is_draft, "verdict": verdict and verdict.state}
         facts["unknown"] = verdict.unknown if verdict else account.unknown
         facts |= {"exposure": exposure.exposure_time, "gain": exposure.gain}
         if state.other is None:

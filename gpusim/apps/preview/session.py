@@ -151,8 +151,10 @@ class Session:
     async def _make(self, version, settles):
         """Return a frame's bytes; none if the settings make no picture, and the last one stays."""
         state, crop = self.state, self.crop
-        live = (self.number + 1) % self.producer.frames
-        self.number = live if state.is_live else state.frame
+        if state.is_live:
+            self.number = (self.number + 1) % self.producer.frames
+        else:
+            self.number = state.frame
         self.begun = time.monotonic()
         try:
             shown, kind, data = await self.compute(self._encode, state, self.number, crop, settles)

@@ -93,7 +93,7 @@ def _keep(path, made, outputs):
 
 
 def _find_differences(made, found):
-    """Return the names of what another manifest has differently, of tables their keys."""
+    """Return the names of the entries that differ in another manifest; of tables, their keys."""
     names = []
     for name, value in made.items():
         other = found.get(name)

@@ -53,7 +53,7 @@ class Ramps:
             return camera
         from gpusim.color.speed import operate_camera
 
-        controls = {name.replace("-", "_"): values.get(name) for name in CAMERA}
+        controls: dict = {name.replace("-", "_"): values.get(name) for name in CAMERA}
         return operate_camera(camera, **controls)
 
     def scene(self, scene: "Scene", part: float) -> "Scene":

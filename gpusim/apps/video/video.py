@@ -154,7 +154,7 @@ def blurred_frames(
                 scene = Animation(scene, scenes.actors)
             camera = loops.camera(ramps.camera(still.camera, number / last), number)
             simulator = still if camera is still.camera else still.update(camera)
-            when = {"start": number * scenes.period, "flicker": scenes.flicker}
+            when: dict = {"start": number * scenes.period, "flicker": scenes.flicker}
             when |= loops.operation(camera, number)
             exposure = expose_motion(simulator, scene, scenes.motion, **when)
             values: Any

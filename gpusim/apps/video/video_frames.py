@@ -73,8 +73,8 @@ class Film:
                 raise BadFile(path, "has no pictures; wanted a video")
             stream = container.streams.video[0]
             context = stream.codec_context
-            tags = context.color_trc, context.color_primaries, context.colorspace
-            tags += (context.color_range,)
+            curve, primaries = context.color_trc, context.color_primaries
+            tags = curve, primaries, context.colorspace, context.color_range
             self._format, rows = context.pix_fmt or "", context.height
             self.count = stream.frames or self._count_frames(container, stream)
         if not self.count:

@@ -88,10 +88,12 @@ def open_camera(name_or_path: str | os.PathLike) -> Camera:
     try:
         return camera_of(path, table)
     except BadFile as error:
-        key = _KEY.search(error.details)
-        chain = _chain(name_or_path) if key else ()
-        tables = ((file, own.get(key[1])) for file, own in chain)
-        owners = (file for file, own in tables if isinstance(own, dict) and key[2] in own)
+        named = _KEY.search(error.details)
+        if named is None:
+            raise
+        section, key = named.groups()
+        tables = ((file, own.get(section)) for file, own in _chain(name_or_path))
+        owners = (file for file, own in tables if isinstance(own, dict) and key in own)
         where = next(owners, path)
         if where == path:
             raise

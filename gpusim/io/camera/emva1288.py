@@ -113,15 +113,15 @@ def sensor_from_emva1288(
     spectrum, efficiency = _efficiency(quantum_efficiency, wavelength, response)
     noise_squared = _dark_noise_squared(dark_noise, dark_noise_dn, gain, rounding)
     well = full_well(saturation_capacity, prnu / 100)
-    fixed = {"dsnu": _pixel_part("dsnu", figures, rounding, "e-")}
+    fixed: dict = {"dsnu": _pixel_part("dsnu", figures, rounding, "e-")}
     fixed |= {"row_dsnu": dsnu_row, "column_dsnu": dsnu_column}
     fixed["prnu"] = _pixel_part("prnu", figures, rounding, "%") / 100
     fixed |= {"row_prnu": prnu_row / 100, "column_prnu": prnu_column / 100}
-    current = {"dark_current": dark_current, "doubling": dark_current_doubling}
+    current: dict = {"dark_current": dark_current, "doubling": dark_current_doubling}
     current |= dict.fromkeys(("temperature", "reference_temperature"), dark_current_temperature)
     noise = Noise(read=math.sqrt(noise_squared), seed=seed, **fixed, **current)
-    converter = {"bits": bits, "black_level": black_level, "gain": gain, "full_well": well}
-    mosaic = {"channels": channels, "cfa": cfa}
+    converter: dict = {"bits": bits, "black_level": black_level, "gain": gain, "full_well": well}
+    mosaic: dict = {"channels": channels, "cfa": cfa}
     sensor = Sensor(pixel_pitch=pixel_pitch, qe=spectrum, noise=noise, **converter, **mosaic)
     highest = sensor.white_level - black_level
     if gain * saturation_capacity > highest * (1 + rounding):

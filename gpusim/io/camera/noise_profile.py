@@ -74,7 +74,7 @@ class NoiseProfile:
         because a profile does not have them.
         """
         noise = replace(sensor.noise, read=self.read, reset=0.0, adc=0.0, row=0.0, column=0.0)
-        gain = dict.fromkeys(("conversion_gain", "adc_range"))
+        gain: dict = dict.fromkeys(("conversion_gain", "adc_range"))
         gain |= {"analog_gain": 1.0, "analog_offset": 0.0}
         return replace(sensor, **self.fields, **gain, noise=noise)
 

@@ -12,8 +12,8 @@ from gpusim.domain.psf import PointSpread
 from gpusim.io.archive import NUMBERS, open_archive, write_archive
 from gpusim.io.files import name_in_errors
 
-SHAPES = dict.fromkeys(("wavelengths_nm", "heights", "grid_y", "grid_x"), (None,))
-SHAPES |= {"psf": None, "spacing_um": (), "integrated": ()}  # None: any
+SHAPES: dict = {"psf": None, "spacing_um": (), "integrated": ()}  # None: any
+SHAPES |= dict.fromkeys(("wavelengths_nm", "heights", "grid_y", "grid_x"), (None,))
 COPIES = 2.25  # of the numbers: as float64, scaled to sum 1, and whether each is finite
 
 

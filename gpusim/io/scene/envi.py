@@ -102,7 +102,7 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
             view = view[0].T[:, :, None]
         order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
         gains, offsets = (None if one is None else one[order] for one in (gains, offsets))
-        light = {"scale": factor, "gains": gains, "offsets": offsets}
+        light: dict = {"scale": factor, "gains": gains, "offsets": offsets}
         light["ignored"] = header.ignored_value(dtype)
         values, changes = read_planes(data, _SelectedPlanes(view, order), **light)
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:

@@ -46,8 +46,8 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
         nodes, shown = own.wavelengths.tolist(), own.values.tolist()
         parts["illuminant"] = {"name": own.name, "wavelengths_nm": nodes, "values": shown}
     depth = {} if scene.depth is None else {DEPTH: np.asarray(scene.depth)}
-    form = {"reflectance": reflectance, "half": half, "more": depth, ATTRIBUTE: json.dumps(parts)}
-    write_spectral_exr(path, scene.wavelengths, values, **form)
+    form: dict = {"reflectance": reflectance, "half": half, ATTRIBUTE: json.dumps(parts)}
+    write_spectral_exr(path, scene.wavelengths, values, more=depth, **form)
 
 
 def scene_parts(path) -> dict:

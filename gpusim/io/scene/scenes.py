@@ -92,14 +92,14 @@ def open_scene(
         raise BadData(f"{what}; use gpusim.scene_from for an array")
     path = Path(name_or_path)
     check_depth(depth, fov)
-    given = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind}
+    given: dict = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind}
     given |= {"scale": scale, "ray": fov if depth == "ray" else None}
     given["no_depth"] = depth == "none" or None
     given = {name: value for name, value in given.items() if value is not None}
     level = LUMINANCE if luminance is None else luminance
     if str(name_or_path) in CHARTS:
         finer = 1.0 if samples_per_pixel is None else samples_per_pixel
-        lit = {"light": light or LIGHT, "luminance": level, "samples_per_pixel": finer}
+        lit: dict = {"light": light or LIGHT, "luminance": level, "samples_per_pixel": finer}
         options = select_options(name_or_path, CHARTS_TAKE, given)
         scene = chart(str(name_or_path), **lit, **options)
     elif path.suffix.lower() in SUFFIXES:

@@ -21,16 +21,17 @@ from gpusim.pipeline.readout import Readout
 f32 = np.float32
 MEANS = [0, 1e-8, 1e-3, 0.5, 5, 19.9, 20.1, 87, 88, 104, 1e3, 1e5, 1e7, 2.0**24 + 1]
 IDEAL = {"full_well": np.inf, "gain": 1.0, "white_level": 65535}
-_ANALOG = {"analog_gain": 4.0, "analog_offset": 50.0, "black_level": 400}
+_ANALOG: dict = {"analog_gain": 4.0, "analog_offset": 50.0, "black_level": 400}
 SENSOR = replace(open_camera("mono").sensor, bits=16, full_well=1e5, gain=0.5, **_ANALOG)
 SENSOR = replace(SENSOR, noise=Noise())
 WITHOUT_CONVERTER = replace(
     SENSOR, bits=32, full_well=1e9, gain=1.0, analog_gain=1.0, analog_offset=0.0, black_level=0
 )
-_DEFECTS = {"hot_pixels": 0.01, "hot_current": 30.0, "dead_pixels": 0.01, "telegraph_pixels": 0.1}
-_PATTERNS = {"prnu": 0.02, "row_prnu": 0.01, "dsnu": 1.0, "seed": 4}
-_READOUT = {"read": 2.0, "row": 0.3, "column": 0.2, "telegraph": 10.0, "telegraph_switching": 0.3}
-CHIP = Noise(dark_current=3.0, **_DEFECTS, **_PATTERNS, **_READOUT)
+_HOT: dict = {"hot_pixels": 0.01, "hot_current": 30.0, "dead_pixels": 0.01}
+_TELEGRAPH: dict = {"telegraph_pixels": 0.1, "telegraph": 10.0, "telegraph_switching": 0.3}
+_PATTERNS: dict = {"prnu": 0.02, "row_prnu": 0.01, "dsnu": 1.0, "seed": 4}
+_READOUT: dict = {"read": 2.0, "row": 0.3, "column": 0.2, "dark_current": 3.0}
+CHIP = Noise(**_HOT, **_TELEGRAPH, **_PATTERNS, **_READOUT)
 
 
 def electrons(mean, device, **changed) -> np.ndarray:
@@ -44,7 +45,7 @@ def everything(rows, cols, photon) -> dict:
     The means go from rare photons to 1e8 e-, in random order.
     """
     random = np.random.default_rng(3)
-    inputs = {
+    inputs: dict = {
         "expected": (10.0 ** random.uniform(-4, 8, (rows, cols))).astype(f32),
         "offset": random.normal(0, 1, (rows, cols)).astype(f32),
         "amplitude": np.maximum(random.normal(-5, 10, (rows, cols)), 0).astype(f32),
@@ -79,7 +80,8 @@ def unlike_reference(device, photon, mean) -> Found:
     found, wanted = (
         electrons(mean, one, photon=photon, seed=5) for one in (device, open_device("numpy"))
     )
-    return Found(np.count_nonzero(found != wanted), 0, "counts that are not the reference's")
+    count = int(np.count_nonzero(found != wanted))
+    return Found(count, 0, "counts that are not the reference's")
 
 
 @case(

@@ -143,11 +143,11 @@ def even(base, weights, shape, cfa) -> np.ndarray:
     return mosaic_of(np.broadcast_to((weights @ base)[:, None, None], (len(weights), *shape)), cfa)
 
 
-def folded_otf(q: float, period: tuple[int, int]) -> np.ndarray:
+def folded_otf(q: float, period: tuple[int, int], aperture: float = 1.0) -> np.ndarray:
     """Return the transfer function of a round lens and square pixels, real (period rows, cols).
 
     It is O(|f|) sinc, the sum of all replicas. The autocorrelation of a circle ends at 1 / q cycles
-    per pixel.
+    per pixel. aperture: side of the light-sensitive area [pixel].
 
     Source: Goodman, Introduction to Fourier Optics, 6.3.
     """
@@ -158,7 +158,8 @@ def folded_otf(q: float, period: tuple[int, int]) -> np.ndarray:
         for b in range(-reach, reach + 1):
             y, x = fy[:, None] + a, fx + b
             s = np.minimum(q * np.hypot(y, x), 1)
-            out += 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s)) * np.sinc(y) * np.sinc(x)
+            lens = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+            out += lens * np.sinc(aperture * y) * np.sinc(aperture * x)
     return out
 
 
