@@ -247,7 +247,10 @@ def untimed(data):
 
 def record(monkeypatch):
     """Put functions that print their arguments in place of servers, trainings and long judgements."""
+    import nicegui
+
     import gpusim.apps.l3.train
+    import gpusim.apps.preview.page
     import gpusim.backends.probe
     import gpusim.io.camera.learned
     import gpusim.judge.bench
@@ -297,20 +300,16 @@ def record(monkeypatch):
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),
     ):
         monkeypatch.setattr(module, name, function, raising=False)
-    if pytest.importorskip("nicegui", reason="pip install gpusim[preview]"):
-        import nicegui
 
-        import gpusim.apps.preview.page
+    def mounted(producer, state, name, shape, title):
+        made = producer()
+        shown = list(made._scenes.between(0, min(made._scenes.count, 2)))
+        print(made._device.name, made.period, vars(state), name, shape, title, made.frames)
+        print(*(digest(scene) for scene in shown))
 
-        def mounted(producer, state, name, shape, title):
-            made = producer()
-            shown = list(made._scenes.between(0, min(made._scenes.count, 2)))
-            print(made._device.name, made.period, vars(state), name, shape, title, made.frames)
-            print(*(digest(scene) for scene in shown))
-
-        monkeypatch.setattr(gpusim.apps.preview.page, "mount", mounted)
-        monkeypatch.setattr(nicegui.ui, "run", lambda **options: print(options))
-        monkeypatch.setattr(nicegui.app, "add_middleware", lambda *_, **options: print(options))
+    monkeypatch.setattr(gpusim.apps.preview.page, "mount", mounted)
+    monkeypatch.setattr(nicegui.ui, "run", lambda **options: print(options))
+    monkeypatch.setattr(nicegui.app, "add_middleware", lambda *_, **options: print(options))
 
 
 REFUSED = {
