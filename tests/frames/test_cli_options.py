@@ -490,7 +490,9 @@ def looked(panel, name):
         base = base.replace(" --camera phone", "")
     if panel == "sfr":
         base = base.replace("colorchecker", "slanted-edge").replace("24x16", "64x48")
-        base = re.sub(r"^(\w+\.(exr|npy))", r"edge_\1", base).replace("1e-2", "1e-3")
+        base = re.sub(r"^(\w+\.(exr|npy))", r"edge_\1", base).replace("1e-2", "3e-2")
+        if "depth" not in base:  # few wavelengths, which some channels do not see
+            base = re.sub(r"^(edge_\S+ --camera) phone", r"\1 mono", base)
     return f"{base} --what {panel} -o look.png", option
 
 
