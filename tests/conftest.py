@@ -56,7 +56,7 @@ OTHERS = ("warp:cpu", "numpy")
 # each group it is the next one, so that devices or tolerances, which come last, take turns.
 ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 2,
-    "test_points_land_where_opencv_puts_them": 6,
+    "test_points_land_where_opencv_puts_them": 7,
     "test_a_programs_memory_is_predicted": 3,
     "test_a_draft_is_near_what_is_planned_for_the_lens": 6,
     "test_what_has_no_draft_is_planned": 2,
