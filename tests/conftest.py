@@ -1,12 +1,18 @@
 import os
+import sys
 from pathlib import Path
 
 import pytest
 from budget import budgeted
 from measured import SHARED_DATA
 
-DATA = Path(__file__).parent / "data"
+HERE = Path(__file__).parent
+DATA = HERE / "data"
+QUICK = (HERE / "host", HERE / "stages/test_stages.py")  # all that `-m quick` runs, and imports
 
+# Tests start some hundred processes: each would compile the whole package anew where nothing is kept of it.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # PoCL and OpenBLAS of every worker take all processors: here they share them. PoCL two, so that work-groups meet.
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
@@ -46,52 +52,94 @@ ON_ALL_DEVICES = (
 OTHERS = ("warp:cpu", "numpy")
 
 
-# Tests of many combinations that repeat each other: one of so many is in the default run, the others are slow tests.
+# Tests of many combinations that repeat each other: one of so many is in the default run, the others are slow tests. Of
+# each group it is the next one, so that devices or tolerances, which come last, take turns.
 ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 2,
-    "test_points_land_where_opencv_puts_them": 3,
-    "test_a_programs_memory_is_predicted": 2,
-    "test_a_draft_is_near_what_is_planned_for_the_lens": 3,
-    "test_items_of_several_scenes": 2,
-    "test_items_of_several_settings": 2,
+    "test_points_land_where_opencv_puts_them": 7,
+    "test_a_programs_memory_is_predicted": 3,
+    "test_a_draft_is_near_what_is_planned_for_the_lens": 6,
+    "test_what_has_no_draft_is_planned": 2,
+    "test_items_of_several_scenes": 4,
+    "test_items_of_several_settings": 4,
     "test_what_interpolation_errs_is_predicted": 2,
-    "test_a_frame_errs_no_more_than_it_says": 3,
-    "test_nothing_stale_is_used": 2,
-    "test_promises_are_kept": 2,
+    "test_a_frame_errs_no_more_than_it_says": 6,
+    "test_nothing_stale_is_used": 4,
+    "test_what_is_behind_a_change_runs_and_nothing_else": 2,
+    "test_noise_is_turned_on_and_off": 2,
+    "test_promises_are_kept": 4,
+    "test_the_truth_is_that_of_the_brute_force": 2,
+    "test_borders_of_the_brute_force": 2,
     "test_every_result_is_that_of_a_new_simulator": 2,
-    "test_probes_tell_the_true_error_of_a_plans_own_planes": 3,
+    "test_probes_tell_the_true_error_of_a_plans_own_planes": 6,
     "test_all_ways_give_one_frame": 3,
-    "test_electrons_are_those_of_the_radiance": 4,
+    "test_electrons_are_those_of_the_radiance": 8,
     "test_devices_and_plans_agree": 3,
-    "test_a_camera_with_that_lens": 2,
+    "test_a_camera_with_that_lens": 4,
     "test_every_setting_develops_as_the_reference_does": 2,
     "test_irradiance_of_a_flat_scene_is_that_of_the_camera_equation": 3,
     "test_16_bits_are_the_8_bits_and_what_lies_between": 2,
-    "test_noise_moves_nothing_at_rest": 2,
+    "test_noise_moves_nothing_at_rest": 4,
     "test_an_option_has_an_effect": 2,
+    "test_hard_case": 2,
+    "test_mean_electrons_agree_with_the_reference": 2,
+    "test_true_error_includes_the_border": 2,
+    "test_plans_meet_their_tolerance": 2,
+    "test_plans_of_any_light": 3,
+    "test_tiny_frames_keep_their_word": 2,
+    "test_a_full_disk_is_said_in_one_line": 2,
+    "test_a_full_standard_output_is_said_in_one_line": 2,
+    "test_a_reader_that_has_gone_ends_the_work_in_silence": 2,
+    "test_a_function_and_a_package_have_one_name": 2,
+    "test_images_of_an_aberrated_pupil": 2,
+    "test_energy_is_kept": 2,
+    "test_a_star_keeps_its_energy_between_samples": 2,
+    "test_an_encoded_video_in_parts_is_that_of_one_run": 2,
+    "test_frames_of_a_world_without_end": 2,
+    "test_devices_see_the_same_world": 2,
+    "test_filters_leave_white_where_interpolation_has_it": 4,
+    "test_an_interrupted_run_leaves_the_data_set_and_goes_on": 2,
+    "test_a_star_is_the_integral_of_the_pupil": 2,
+    "test_tables_that_planners_look_at": 2,
+    "test_draws_follow_each_other_each_in_an_array_of_its_own": 2,
+    "test_the_mosaic_takes_each_pixels_own_channel": 3,
+    "test_tiles_of_natural_scenes": 2,
+    "test_a_star_in_a_tiny_frame_out_of_focus": 2,
+    "test_autofocus_of_an_operated_sensor": 2,
 }
+
+
+def pytest_ignore_collect(collection_path, config):
+    """Import nothing but the quick tests for `-m quick`."""
+    if config.option.markexpr == "quick" and collection_path.is_relative_to(HERE):
+        if not any(
+            place.is_relative_to(collection_path) or collection_path.is_relative_to(place)
+            for place in QUICK
+        ):
+            return True
+    return None
 
 
 def pytest_collection_modifyitems(items):
     """Mark as slow: whole frames on a second CPU device, if the first is tested too; combinations beyond `ONE_OF`."""
     named, counted = {}, {}
     for item in items:
-        params = getattr(item, "callspec", None)
-        if params is not None and "frames" in item.path.parts:
-            rest = tuple(part for part in params.id.split("-") if part not in (*OTHERS, "opencl:0"))
+        if item.get_closest_marker("quick"):
+            assert any(item.path.is_relative_to(place) for place in QUICK), item.nodeid
+        if hasattr(item, "callspec") and "frames" in item.path.parts:
+            params = item.callspec.id.split("-")
+            rest = tuple(part for part in params if part not in (*OTHERS, "opencl:0"))
             named.setdefault((item.path, item.originalname, rest), []).append(item)
-        if (
-            params is not None
-            and item.originalname in ONE_OF
-            and not item.get_closest_marker("slow")
-        ):
-            number = counted[item.originalname] = counted.get(item.originalname, -1) + 1
-            if number % ONE_OF[item.originalname]:
-                item.add_marker("slow")
     for (path, *_), same in named.items():
         devices = {item: [str(one) for one in item.callspec.params.values()] for item in same}
         if path.stem in ON_ALL_DEVICES or not any("opencl:0" in one for one in devices.values()):
             continue
         for item, parts in devices.items():
             if any(other in parts for other in OTHERS):
+                item.add_marker("slow")
+    for item in items:
+        of = ONE_OF.get(getattr(item, "originalname", ""))
+        if of and hasattr(item, "callspec") and not item.get_closest_marker("slow"):
+            number = counted[item.originalname] = counted.get(item.originalname, -1) + 1
+            if number % of != number // of % of:
                 item.add_marker("slow")

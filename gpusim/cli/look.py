@@ -95,7 +95,10 @@ def _picture(request, plot):
 
 
 def _colors(request, plot):
-    simulator, scene, seed = request.open_simulator(), request.open_shown(), request.seed
+    request.refuse(
+        "band", "channels named by it are radiance in an unknown light, without true colours"
+    )
+    simulator, scene, seed = request.open_unrendered(), request.open_shown(), request.seed
     return lambda: plot.colors(simulator(scene, seed=seed), scene)
 
 

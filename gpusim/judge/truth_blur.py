@@ -124,13 +124,17 @@ def _at_pixels(spectrum, period, transfer, cut, wide, places):
         y, x = fy + a, fx + b
         if cut and np.hypot(np.abs(y).min(), np.abs(x).min()) > cut:
             continue
+        passed = np.s_[:, :]
+        if cut and whole:  # beyond it the table is 0
+            rows, cols = (np.flatnonzero(np.abs(f) <= cut) for f in (y, x))
+            y, x, passed = y[rows], x[cols], np.ix_(rows, cols)
         down, across = (
             (np.sinc(side * f) if cut else 1.0) * np.exp(2j * np.pi * f * start)
             for side, f, start in zip(wide, (y, x), first, strict=True)
         )
         table = transfer(y, x) * down[:, None] * across
         if whole:
-            folded += table
+            folded[passed] += table
             continue
         to_y, to_x = (
             np.exp(2j * np.pi * np.outer(place, f)) for place, f in zip(rest, (y, x), strict=True)

@@ -77,12 +77,16 @@ def transfer_of(optics: Optics, wavelength, pitch):
     spots, diffuser = [length / pitch for length in optics.birefringence], optics.diffuser / pitch
 
     def transfer(fy, fx):
-        out = np.zeros((len(fy), len(fx)), complex)
-        inside = np.nonzero(np.hypot(fy[:, None], fx) * q < 1)
-        out[inside] = own(fx[inside[1]] * q, fy[inside[0]] * q)
-        for spot, f in zip(spots, (fy[:, None], fx), strict=True):
-            out = out * (np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2))
-        return out
+        sy, sx = np.broadcast_arrays(fy[:, None] * q, fx * q)
+        inside = np.hypot(sx, sy) < 1
+        values = own(sx[inside], sy[inside])
+        out = np.zeros(inside.shape, values.dtype)
+        out[inside] = values
+        down, across = (
+            np.cos(np.pi * spot * f) * np.exp(-2 * (np.pi * diffuser * f) ** 2)
+            for spot, f in zip(spots, (fy, fx), strict=True)
+        )
+        return out * down[:, None] * across
 
     return transfer, 1 / q
 

@@ -146,16 +146,28 @@ def otf(s):
 def airy(q, aperture, rows, cols):
     """See the stage `optics.airy`: a sum over the replicas that the sampling folds onto each frequency."""
     height, width = np.broadcast_to(aperture, 2)
-    fy = np.arange(rows // 2 + 1)[:, None] / rows
-    fx = np.arange(cols // 2 + 1) / cols
-    tables = np.zeros((len(q), rows // 2 + 1, cols // 2 + 1))
+    fy, fx = (np.arange(n // 2 + 1) / n for n in (rows, cols))
+    tables = np.zeros((len(q), len(fy), len(fx)))
     for table, one_q in zip(tables, np.asarray(q, np.float64), strict=True):
-        reach = int(np.ceil(1 / one_q + 0.5))
-        for a in range(-reach, reach + 1):
-            for b in range(-reach, reach + 1):
-                y, x = fy + a, fx + b
-                table += otf(np.hypot(y, x) * one_q) * np.sinc(height * y) * np.sinc(width * x)
+        parts_y, parts_x = (list(_replicas(f, one_q)) for f in (fy, fx))
+        for rows_in, y in parts_y:
+            for cols_in, x in parts_x:
+                table[rows_in, cols_in] += (
+                    otf(np.hypot(y[:, None], x) * one_q)
+                    * np.sinc(height * y)[:, None]
+                    * np.sinc(width * x)
+                )
     return tables
+
+
+def _replicas(frequencies, q):
+    """Yield the slice of ascending frequencies that is within the cut-off, and its values, for each replica."""
+    reach = int(np.ceil(1 / q + 0.5))
+    for whole in range(-reach, reach + 1):
+        inside = np.flatnonzero(np.abs(frequencies + whole) * q < 1)
+        if inside.size:
+            part = slice(inside[0], inside[-1] + 1)
+            yield part, frequencies[part] + whole
 
 
 def exact_otf(outline, waves):

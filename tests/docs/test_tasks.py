@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-pytest.importorskip("matplotlib", reason="matplotlib is not installed: pip install 'gpusim[plot]'")
 TASKS = {
     path.stem: path for path in sorted((Path(__file__).parents[2] / "docs" / "tasks").glob("*.py"))
 }

@@ -71,10 +71,10 @@ def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     "change",
     [
         {"optics": {"f_number": 8.0}},  # too wide for the tiles
+        {"optics": {"f_number": 2.0, "lateral_color": 1e-3}},
         {"optics": {"f_number": 2.0}, "sensor": {"pixel_pitch": 3e-6}},
         {"optics": zernike(coma=0.1)},  # no longer the same at every angle
         {"optics": {"model": "none"}},
-        {"optics": {"f_number": 2.0, "lateral_color": 1e-3}},
     ],
 )
 def test_what_has_no_draft_is_planned(change):

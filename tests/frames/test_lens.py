@@ -167,7 +167,7 @@ def test_a_star_keeps_its_energy_through_measured_spreads():
     """That widen and move toward the corner, which loses 3 % on the axis if flat fields are made flat.
 
     The spreads end within the frame: all the light of a star arrives, to float32 transforms (2.5e-7 of the root mean
-    square, five of them, over 129 x 129 pixels).
+    square, five of them, over 65 x 65 pixels).
     """
     size, heights = 41, np.array([0.0, 0.5, 1.0])
     y, x = np.mgrid[:size, :size] - size // 2
@@ -179,8 +179,8 @@ def test_a_star_keeps_its_energy_through_measured_spreads():
         heights=heights,
     )
     simulator, sums = gs.Simulator(mono(model="measured", psf=psf), device=DEVICES[0]), []
-    for place in ((64, 64), (109, 109)):
-        values = np.zeros((129, 129), np.float32)
+    for place in ((32, 32), (54, 54)):
+        values = np.zeros((65, 65), np.float32)
         values[place] = 1e4
         exposure = simulator.expose(dataclasses.replace(few(values), border="zero"))
         sums.append(

@@ -302,6 +302,6 @@ def test_without_pyarrow_the_extra_is_named(tmp_path, monkeypatch, capsys):
 
 
 def test_pandas_has_tasks_as_index(of_two):
-    pandas = pytest.importorskip("pandas")
+    pandas = pytest.importorskip("pandas", reason="pandas is not installed")
     tasks = pandas.read_parquet(of_two[1] / "meta/tasks.parquet")
     assert tasks.loc["hold still"].task_index == 1

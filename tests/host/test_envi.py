@@ -74,9 +74,8 @@ def values(path, **options):
 @pytest.mark.parametrize("order", [0, 1])
 def test_spectral_pythons_files(tmp_path, interleave, code, order):
     """Every interleave, type and order of bytes; its own reader, with the factor, is the judge."""
-    envi = pytest.importorskip(
-        "spectral.io.envi", reason="Spectral Python is not installed: pip install spectral"
-    )
+    from spectral.io import envi
+
     cube = np.moveaxis(CUBE, 0, -1).astype(TYPES[code])
     metadata = {
         "wavelength": WAVES / 1000,
@@ -101,12 +100,9 @@ def test_spectral_pythons_files(tmp_path, interleave, code, order):
 
 
 def test_spectral_pythons_library_is_a_scene_of_patches(tmp_path):
-    envi = pytest.importorskip(
-        "spectral.io.envi", reason="Spectral Python is not installed: pip install spectral"
-    )
-    spectral = pytest.importorskip(
-        "spectral", reason="Spectral Python is not installed: pip install spectral"
-    )
+    import spectral
+    from spectral.io import envi
+
     spectra = RANDOM.random((5, 4)).astype(np.float32)
     library = envi.SpectralLibrary(
         spectra, {"wavelength": WAVES[::-1], "spectra names": list("abcde")}

@@ -7,17 +7,16 @@ import sys
 import zlib
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import scipy.io
+from matlab import save73
 from refusals import refused
 
 import gpusim as gs
 from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.io.scene.mat import open_mat
-
-h5py = pytest.importorskip("h5py", reason="h5py is not installed: pip install 'gpusim[isetcam]'")
-from matlab import save73  # noqa: E402  it needs h5py
 
 WAVES = np.arange(400, 701, 10.0)
 RANDOM = np.random.default_rng(8)
@@ -30,9 +29,8 @@ SINGLE = 3 * 2.0**-24
 
 
 def save_by_hdf5storage(path, variables):
-    storage = pytest.importorskip(
-        "hdf5storage", reason="hdf5storage is not installed: pip install hdf5storage"
-    )
+    import hdf5storage as storage
+
     storage.savemat(str(path), variables, format="7.3")
 
 

@@ -12,8 +12,6 @@ from gpusim.cli.look import PANELS
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadData
 
-pytest.importorskip("matplotlib", reason="plots are of matplotlib")
-
 FEWER = {
     "psf": ["--of", "550,650"],
     "mtf": ["--of", "550,600"],
@@ -121,7 +119,8 @@ def read(png):
 
 def test_notebooks_show_pictures(frame):
     """As IPython asks for them; small ones enlarged by whole numbers, large ones by few of their samples."""
-    formatters = pytest.importorskip("IPython.core.formatters", reason="IPython is not installed")
+    from IPython.core import formatters
+
     png = formatters.PNGFormatter()
     np.testing.assert_array_equal(read(png(frame))[1::3, 1::3], frame.rgb)
     scene = gs.chart("colorchecker", size=(300, 200), samples_per_pixel=2)
@@ -137,9 +136,9 @@ def test_notebooks_show_pictures(frame):
 
 
 def test_notebooks_show_tables(frame):
-    html = pytest.importorskip(
-        "IPython.core.formatters", reason="IPython is not installed"
-    ).HTMLFormatter()
+    from IPython.core.formatters import HTMLFormatter
+
+    html = HTMLFormatter()
     camera = Cells(html(replace(frame.camera, name="<b>mine")))
     assert not camera.open and camera.texts[0] == "Camera <b>mine"
     assert (

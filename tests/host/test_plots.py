@@ -5,6 +5,7 @@ import sys
 from dataclasses import replace
 
 import colour
+import matplotlib
 import numpy as np
 import pytest
 from edges import gaussian_edge, gaussian_mtf
@@ -17,9 +18,8 @@ from gpusim.judge.plan_summary import Forecast
 from gpusim.measure import sfr
 from gpusim.measure.mosaic import color_mosaic
 
-matplotlib = pytest.importorskip("matplotlib", reason="plots are of matplotlib")
 matplotlib.use("Agg")
-from matplotlib import pyplot  # noqa: E402
+from matplotlib import pyplot
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:[^$]*Matplotlib", "ignore:[^$]*Aligning"

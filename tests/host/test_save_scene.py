@@ -68,9 +68,6 @@ def test_all_of_a_scene_comes_back(tmp_path, made, suffix):
 
 def test_colour_science_reads_reflectance_and_radiance(tmp_path):
     """By its reader of the layout of Fichet et al. (2021), through OpenImageIO: names, wavelengths, units, order."""
-    pytest.importorskip(
-        "OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio"
-    )
     import colour
 
     made = scene()
@@ -97,9 +94,6 @@ def test_luminance_by_colour_science(tmp_path):
     differ by a sixth of the product of their changes within a nanometre: at most 2 % of the observer's peak and 2 % of
     D65, so 7e-5. The file's 380 to 780 nm leave out 2e-6.
     """
-    pytest.importorskip(
-        "OpenImageIO", reason="OpenImageIO is not installed: pip install openimageio"
-    )
     import colour
 
     waves = np.arange(380.0, 781.0)

@@ -6,6 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
+import tifffile
 from refusals import SMALL, refused, takes
 
 from gpusim.cli.options import _wavelengths
@@ -13,7 +14,6 @@ from gpusim.domain.errors import BadFile, DoesNotFit, OutOfRange, UnknownName
 from gpusim.io.scene.photo import read_samples
 from gpusim.io.scene.scenes import open_scene
 
-tifffile = pytest.importorskip("tifffile")
 RANDOM = np.random.default_rng(6)
 RGB16 = RANDOM.integers(0, 65536, (7, 9, 3), np.uint16)
 PHOTON = 1.98644586e-25  # [J m] h c, CODATA 2018, nine digits
@@ -26,9 +26,8 @@ PHOTON = 1.98644586e-25  # [J m] h c, CODATA 2018, nine digits
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16])
 @pytest.mark.parametrize("channels", [1, 3])
 def test_opencvs_files_hold_the_same_samples(tmp_path, suffix, kind, channels):
-    cv2 = pytest.importorskip(
-        "cv2", reason="OpenCV is not installed: pip install opencv-python-headless"
-    )
+    import cv2
+
     codes = RANDOM.integers(0, np.iinfo(kind).max + 1, (7, 9, channels)).astype(kind)
     assert cv2.imwrite(
         str(tmp_path / f"a{suffix}"), codes[..., ::-1] if channels == 3 else codes[..., 0]
@@ -131,9 +130,8 @@ def test_channels_of_a_page_are_planes(tmp_path):
 
 
 def test_opencvs_pages_are_planes(tmp_path):
-    cv2 = pytest.importorskip(
-        "cv2", reason="OpenCV is not installed: pip install opencv-python-headless"
-    )
+    import cv2
+
     planes = RANDOM.random((3, 7, 9), np.float32)
     assert cv2.imwritemulti(str(tmp_path / "a.tif"), list(planes))
     got = open_scene(tmp_path / "a.tif", wavelengths=(400, 500, 600)).content.values

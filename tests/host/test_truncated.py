@@ -42,7 +42,8 @@ def test_truncated_files_of_matlab_are_refused(tmp_path, packed):
 
 @pytest.mark.parametrize("superblock", ["earliest", "latest"])
 def test_truncated_files_of_matlab_7_3_are_refused(tmp_path, superblock):
-    h5py = pytest.importorskip("h5py")
+    import h5py
+
     data = mat_mutations.saved_73(mat_mutations.GOOD[0])
     if superblock == "latest":  # copied by HDF5's own library into the newest structures
         (tmp_path / "b.mat").write_bytes(data)

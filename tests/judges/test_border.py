@@ -136,8 +136,8 @@ def judged(numbers):
 
 
 def test_the_reference_sees_a_world_without_end():
-    """Each border and kind of scene once or twice: the reference to 1e-5, each prediction within 2.5."""
-    assert judged((0, 5, 10, 15, 18, 23)) == 1
+    """Each border once, with a kind of scene of its own: the reference to 1e-5, each prediction within 2.5."""
+    assert judged((0, 5, 10, 23)) == 1
 
 
 @pytest.mark.slow

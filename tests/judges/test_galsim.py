@@ -10,6 +10,7 @@ P >= 200 Q: 5e-8 of the peak. The library's own period adds as much by the same 
 
 import functools
 
+import galsim
 import numpy as np
 import pytest
 from devices import ALL_KINDS, KINDS
@@ -18,10 +19,6 @@ from gpusim.domain.pupil import Pupil, noll
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
-
-galsim = pytest.importorskip(
-    "galsim", reason="GalSim, the judge of these tests, is not installed: pip install galsim"
-)
 
 SIZE = 33
 ARCSEC = np.pi / 180 / 3600

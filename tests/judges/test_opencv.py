@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 from cameras import PHONE, camera_with
@@ -15,10 +16,6 @@ from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.kernels.optics.distort_ref import _lagrange
 from gpusim.optics.geometry import distortion_grid
 
-cv2 = pytest.importorskip(
-    "cv2",
-    reason="OpenCV, the judge of these tests, is not installed: pip install opencv-python-headless",
-)
 PITCH = 1.4e-6
 COUNTS = (0, 4, 5, 8, 12, 14)
 HERE = np.zeros(3)  # the camera's place and turn

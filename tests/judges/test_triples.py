@@ -53,6 +53,7 @@ def test_promises_are_kept(seed, data):
     assert rows[0]["within"] or rows[0]["met"] is False
 
 
+@pytest.mark.slow  # of the questions, and of nothing in gpusim
 def test_questions_are_of_all_kinds(shared_data):
     """Every kind, border, lens, tolerance, form, way of exposing and number of samples occurs in each half."""
     for half in (scenes.DEVELOPMENT, scenes.HELD_OUT):

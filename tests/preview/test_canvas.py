@@ -2,10 +2,6 @@
 
 from types import SimpleNamespace
 
-import pytest
-
-pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
-
 from gpusim.apps.preview.canvas import Canvas
 
 SHAPE = 60, 90

@@ -12,15 +12,12 @@ from PIL import Image
 
 import gpusim as gs
 from gpusim.apps.preview.controls import CONTROLS, LIGHTS
+from gpusim.apps.preview.notebook import Preview
 from gpusim.apps.preview.overrides import Given, table_of
 from gpusim.apps.preview.producer import Picture
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData, GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
-
-pytest.importorskip("ipywidgets", reason="pip install gpusim[notebook]")
-pytest.importorskip("simplejpeg", reason="pip install gpusim[notebook]")
-from gpusim.apps.preview.notebook import Preview
 
 SCENE = gs.chart("colorchecker", size=(96, 64))
 EXPOSURE, F_NUMBER = "sensor.exposure_time_ms", "optics.f_number"
@@ -292,8 +289,9 @@ def test_a_program_with_a_widget_ends_in_silence(end):
 @pytest.mark.slow
 def test_a_kernel_runs_it():
     """Changes come as a browser sends them, by messages, of which the kernel runs one after the other."""
-    nbformat, nbclient = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
-    pytest.importorskip("ipykernel")
+    import nbclient
+    import nbformat
+
     make = (
         "import time, gpusim as gs\n"
         "widget = gs.preview(gs.chart('colorchecker', size=(96, 64)), 'phone', device='opencl')\n"

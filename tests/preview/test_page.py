@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from browsers import browser, marked, newer, opened, serving, version
 
-pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
 SCENE = ["colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl"]
 
 

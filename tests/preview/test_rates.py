@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from browsers import browser, marked, opened, serving
 
-pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
 pytestmark = pytest.mark.slow
 SECONDS, MOVES, MINUTES = 6, 20, 10
 # control -> least pictures a second while it is moved, most milliseconds from a move to its picture: median, 95 %

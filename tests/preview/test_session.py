@@ -24,7 +24,6 @@ from gpusim.domain.digest import digest
 from gpusim.domain.errors import BadData, GpusimError
 from gpusim.io.camera.cameras import camera_of, camera_table, open_camera
 
-simplejpeg = pytest.importorskip("simplejpeg", reason="pip install gpusim[preview]")
 SCENE = gs.chart("colorchecker", size=(48, 32))
 STATE = State("phone", tolerance="exact", is_live=False)
 
@@ -370,7 +369,6 @@ def test_only_pages_of_its_own_are_let_in(heads, is_own, kind):
     ],
 )
 def test_what_cannot_be_shown_is_said_in_a_line(asked, words, capsys):
-    pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
     asked = asked if "--camera" in asked else [*asked, "--camera", "phone"]
     try:
         status = main(["preview", *asked, "--device", "numpy"])

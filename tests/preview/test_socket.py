@@ -10,10 +10,8 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 from browsers import serving
-
-pytest.importorskip("nicegui", reason="pip install gpusim[preview]")
-connect = pytest.importorskip("websockets.sync.client").connect
-from websockets.exceptions import ConnectionClosed, InvalidStatus  # noqa: E402
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
 
 
 @pytest.fixture(scope="module")
