@@ -163,7 +163,8 @@ def _local_forward(device, planes, first, size, border, period):
 def _rows(device, kernel, source, target, parameters, rows, sizes, length, sign, border="zero"):
     group = threads(device, length, 1)
     options = {"group": (group,), "defines": _defines(length, 1, group, sign, border)}
-    arrays, grid = [source, roots(device, length), target], (-(-rows // 2) * group,)
+    arrays = [source, roots(device, length), target]
+    grid = (-(-rows // 2) * group,)  # two rows to a line
     device.launch("common.fft", kernel, grid, *arrays, *parameters, rows, *sizes, **options)
 
 

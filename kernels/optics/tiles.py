@@ -98,10 +98,11 @@ def tiles(
     # from a tile's corner
     outputs = np.arange(len(mix)) if cfa is None else np.roll(pattern, overlap, (0, 1)).ravel()
     count = tuple(-(-n // made.valid) for n in shape)
-    fits = _room(side, pattern.shape, len(outputs)) <= device.local_bytes
-    make = _by_groups if fits and not device.on_host else _by_batches
-    if device.on_host and device.kind == "opencl":
-        make = _by_lanes
+    if device.on_host:
+        make = _by_lanes if device.kind == "opencl" else _by_batches
+    else:
+        fits = _room(side, pattern.shape, len(outputs)) <= device.local_bytes
+        make = _by_groups if fits else _by_batches
     arrays = planes, tables, mix, outputs
     make(device, *arrays, pattern.shape, border, side, overlap, margin, count, out)
     return device.reshape(out, shape) if cfa is not None else out

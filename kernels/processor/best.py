@@ -245,12 +245,12 @@ def cases():
             yield _case(f"{domain} {phase} noise", raw, phase, domain, noise=noise)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain, blur=0.7)
-        sizes = ("noisy ramp", "GBRG", noise), ("only read noise", "BGGR", (0.0, 3.0))
-        for name, phase, own in sizes:
+        noises = ("noisy ramp", "GBRG", noise), ("only read noise", "BGGR", (0.0, 3.0))
+        for name, phase, own in noises:
             raw = random.poisson(ramp).astype(np.uint16)
             yield _case(f"{domain} {name}", raw, phase, domain, noise=own)
-        table = ("GRBG", (1.7, 2.9), (0.0, 0.0)), ("BGGR", (0.6, 1.0), noise)
-        for phase, balance, own in table:
+        balances = ("GRBG", (1.7, 2.9), (0.0, 0.0)), ("BGGR", (0.6, 1.0), noise)
+        for phase, balance, own in balances:
             raw = np.random.default_rng(7).poisson(ramp).astype(np.uint16)
             more = {"noise": own, "balance": balance}
             yield _case(f"{domain} balanced {balance}", raw, phase, domain, **more)
