@@ -214,7 +214,8 @@ def falloff_of(
     shape, displacement = scene.shape, sensor.displacement
     (down, across), (y, x) = displacement, question.axis
     from_axis = down - y, across - x  # of the grid of pixels
-    parts, slope = {}, 0.0
+    parts: dict[str, np.ndarray] = {}
+    slope = 0.0
     if optics.relative_illumination == "none":
         notes.leave_out('relative illumination: set to "none"', DECLARED)
     elif optics.relative_illumination != "cos4":
