@@ -202,7 +202,7 @@ def surroundings(
         return
     tails = question.lens.tails(question.scene.wavelengths)
     near = [first]
-    wider = []
+    wider: list[Surroundings] = []
     for overlap in OVERLAPS:
         tiles = in_tiles(overlap, tails)
         if tiles is not None:
