@@ -26,7 +26,7 @@ from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.step import Step
 from gpusim.pipeline.stream import Stream
 from gpusim.planner.facts import Facts
-from gpusim.planner.knobs.noise import without_negligible
+from gpusim.planner.knobs.pixels import without_negligible
 from gpusim.planner.plan import Plan
 
 

@@ -14,9 +14,9 @@ from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.lengths import Tiling
 from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Sampling
 from gpusim.planner.facts import Operation
-from gpusim.planner.knobs import border, falloff, geometry, highlights, sampling, spectral
+from gpusim.planner.knobs import border, highlights, pixels, spectral
+from gpusim.planner.knobs.blur import doubt_of
 from gpusim.planner.knobs.farfield import FarField
-from gpusim.planner.knobs.field import doubt_of
 from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Notes, Question
@@ -96,8 +96,8 @@ def judge_given(
         question = question.without_blur()
     told = cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not question.scene.view.is_plain:
-        geometry.note_view(question, told(), notes)
-    placed = geometry.plan_distortion(question, told, notes)
+        pixels.note_view(question, told(), notes)
+    placed = pixels.plan_distortion(question, told, notes)
     rounding = rounding_of(question, probes, single)
     if question.is_blurred:
         rounding = _blur(plan, question, picture, operation, probes, rounding, notes)
@@ -106,7 +106,7 @@ def judge_given(
     notes.bounds = rounding | notes.bounds
     _geometry(plan, placed, question, probes, notes)
     spectral.describe_unseen(question, notes)
-    sampling.describe(question, taps and (taps.rows, taps.cols), notes)
+    pixels.describe(question, taps and (taps.rows, taps.cols), notes)
     account = Account(
         {name: bound for name, bound in notes.bounds.items() if bound != Bound()},
         operation.seconds,
@@ -168,7 +168,7 @@ def _planes(plan, probes):
 def _geometry(plan, made, question, probes, notes):
     """Predict what the plan leaves out of distortion, `made` for the scene, and of fall-off."""
     own = Notes()  # without probes nothing is left out
-    geometry.choose_distortion(question, made, None, own)
+    pixels.choose_distortion(question, made, None, own)
     if made is not None and plan.find(DistortionGrid) is None and probes is not None:
         notes.bounds.pop("distortion", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
@@ -177,8 +177,8 @@ def _geometry(plan, made, question, probes, notes):
             probes.shift_error(move),
             "distortion left out",
         )
-    geometry.describe_calibration(question, notes)
-    gains, _ = falloff.falloff_of(question, None, own)
+    pixels.describe_calibration(question, notes)
+    gains, _ = pixels.falloff_of(question, None, own)
     notes.left_out += own.left_out
     if gains is not None and plan.find(Falloff) is None and probes is not None:
         most = float(np.abs(gains - 1).max())

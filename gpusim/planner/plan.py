@@ -24,18 +24,9 @@ from gpusim.optics.lengths import Tiling
 from gpusim.optics.tables import Caching, call_always
 from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Planes, Sampling
 from gpusim.planner.facts import Facts
-from gpusim.planner.knobs import (
-    blur,
-    border,
-    depth,
-    falloff,
-    geometry,
-    highlights,
-    sampling,
-    spectral,
-)
+from gpusim.planner.knobs import blur, border, highlights, pixels, spectral
+from gpusim.planner.knobs.blur import doubt_of
 from gpusim.planner.knobs.farfield import FarField
-from gpusim.planner.knobs.field import doubt_of
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Notes, Question
 from gpusim.planner.search import (
@@ -362,26 +353,26 @@ def plan(
             question = blur.left_out(question, picture, probes, notes)
     told = functools.cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
-        geometry.note_view(question, told(), notes)
-    placed = geometry.plan_distortion(question, told, notes)
-    by_depth = depth.by_depth(question, told, notes)
+        pixels.note_view(question, told(), notes)
+    placed = pixels.plan_distortion(question, told, notes)
+    by_depth = blur.by_depth(question, told, notes)
     fixed = rounding_of(question, probes, single)
     seen = (
         _seen(question, picture, probes, operation, by_depth, fixed, notes)
         if question.is_blurred
         else _plain(question, blurred, fixed, notes)
     )
-    taps, spare = sampling.taps_of(question, seen.around.spare if seen.around else 0)
-    depth.describe(by_depth, notes)
+    taps, spare = pixels.taps_of(question, seen.around.spare if seen.around else 0)
+    blur.describe_depth(by_depth, notes)
     picture.describe(notes)
-    distortion = geometry.choose_distortion(question, placed, probes, notes)
-    geometry.describe_calibration(question, notes)
-    gains, slope = falloff.falloff_of(question, probes, notes)
+    distortion = pixels.choose_distortion(question, placed, probes, notes)
+    pixels.describe_calibration(question, notes)
+    gains, slope = pixels.falloff_of(question, probes, notes)
     around = seen.around
     if around:
         around.describe(question, notes)
     spectral.describe_unseen(question, notes)
-    sampling.describe(question, taps, notes)
+    pixels.describe(question, taps, notes)
     choices = (
         *seen.way.choices,
         around and Blur(seen.way.mix, around.period, seen.folded, spare),
@@ -454,7 +445,7 @@ def _plain(question, blurred, fixed, notes):
 def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     """The best way to blur; fixed: errors of all ways."""
     tolerance = question.tolerance
-    fixed |= notes.bounds | depth.bounds_of(by_depth, probes)
+    fixed |= notes.bounds | blur.bounds_of(by_depth, probes)
     arounds = border.surroundings(question, picture, by_depth, operation.level)
     found = options(
         question,

@@ -73,7 +73,8 @@ class Probes:
         """Return the probes of a scene. known: the other attributes."""
         y = border_indices(windows.rows, facts.content.shape[0], border)
         x = border_indices(windows.cols, facts.content.shape[1], border)
-        taken, entries = facts.samples.windows(y, x), None
+        taken = facts.samples.windows(y, x)
+        entries = None
         # as few planes as there are: of all wavelengths, or of entries that samples are mixed of
         if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
             planes, entries = taken.planes, taken.entry_spectra

@@ -108,7 +108,8 @@ def options(
     for together in arounds:
         affordable = []
         for around in together:
-            folded, first = folds(around), first or around
+            first = first or around
+            folded = folds(around)
             if around is first or (
                 around.far is not None and prod(around.period) <= WIDER * prod(first.period)
             ):  # the exact way, and with a world without end

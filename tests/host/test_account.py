@@ -20,7 +20,7 @@ from gpusim.optics.lengths import Tiling
 from gpusim.optics.windows import Windows
 from gpusim.planner.choices import Blur
 from gpusim.planner.knobs.farfield import FarField, ring_errors
-from gpusim.planner.knobs.noise import without_negligible
+from gpusim.planner.knobs.pixels import without_negligible
 from gpusim.planner.plan import plan
 from gpusim.planner.probes import INNER, RIM, SIDE
 from gpusim.planner.search import HEADROOM, WIDER, cost_of

@@ -288,8 +288,9 @@ def test_how_many_more_planes_a_content_takes_is_told_to_a_plane(response):
         errors = [response.error(operator.w_in[:, :k].T, operator.transfers(k), own) for k in more]
         for limit in np.geomspace(max(errors) / 20, max(errors), 7):
             wanted = 1 + sum(error > limit for error in errors)
-            assert abs(watch.count_missing_planes(numbers, limit) - wanted) <= 1
-    assert replace(watch, falls=()).count_missing_planes(numbers, 1e-3) == 1
+            found = replace(watch, limit=limit).count_missing_planes(numbers)
+            assert abs(found - wanted) <= 1
+    assert replace(watch, falls=(), limit=1e-3).count_missing_planes(numbers) == 1
 
 
 def test_darkness_and_nan(response):

@@ -1,1 +1,1 @@
-"""How each knob of a plan is turned: one file a knob."""
+"""How the knobs of a plan are turned: one file for each subject."""

@@ -1,17 +1,34 @@
-"""Blur form: straight to the mosaic or of whole channels, by transforms of the frame or of tiles."""
+"""Blur: its form, whether it is left out, whether it follows the distance of objects, and what makes it doubtful."""
 
-from gpusim.domain.account import SAFETY, total
-from gpusim.optics.depth import DepthPlan
+from collections.abc import Callable
+
+import numpy as np
+from scipy.fft import dctn, idctn
+from scipy.ndimage import gaussian_filter
+
+from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
+from gpusim.domain.errors import OutOfRange
+from gpusim.optics.depth import DepthPlan, plan_depth
+from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.probes import SIDE, Probes
-from gpusim.planner.question import Notes, Question, displacement_suffix
+from gpusim.planner.probes import RIM, SIDE, Probes
+from gpusim.planner.question import DECLARED, Notes, Question, displacement_suffix
 
+SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
+DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
+# beyond it predicted over true was .4 to .7 in sigmas: the windows see little of so wide a blur
+WIDEST_Q = 24.0
+BETWEEN_DOUBT = (
+    "pixels end between the scene's samples, and light between blurred samples is interpolated"
+)
+WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
 ENDINGS = {
     "optics.mosaic": ", folded into the mosaic",
     "optics.blur": "",
     "optics.tiles": ", by tiles",
 }
+OTHERS = "depth, if "  # begins the names of errors of alternatives
 
 
 def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -> tuple[str, bool]:
@@ -72,3 +89,132 @@ def left_out(question: Question, picture: Picture, probes: Probes, notes: Notes)
         return question
     notes.leave_out("blur", bound, "blur left out")
     return question.without_blur()
+
+
+def doubt_of(question: Question) -> str:
+    """Return why predicted errors are not certain (the lens varies within its kernels, a very wide blur), or ""."""
+    if not question.is_blurred:
+        return ""
+    ratio = question.ratio
+    if ratio != 1:  # of a pixel's aperture, among the cells of the samples
+        width, side = np.array(question.aperture), np.array([[-0.5], [0.5]])
+        edges = ratio * (0.5 + np.array(question.sensor.displacement) + side * width)
+        if not ratio.is_integer() or (np.abs(edges - np.rint(edges)) > 1e-6).any():
+            return BETWEEN_DOUBT
+    if not question.lens.is_uniform and min(question.size) < SMALL:
+        return DOUBT
+    return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
+
+
+def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> DepthPlan | None:
+    """Return the plan of a blur that follows distance; None if it is the same at all distances.
+
+    `notes` then gives the reason and the error. probes: gives the scene's. Raises BadData,
+    OutOfRange.
+    """
+    optics, facts, scene = question.optics, question.facts, question.scene
+    if facts.depth is None:
+        return None
+    why = question.lens.fixed_distance or ("there is distortion" if optics.distortion else "")
+    if why:
+        notes.leave_out(
+            f"depth: {why}, so the blur is the same at all distances",
+            _one_distance(question, probes),
+            "depth left out",
+        )
+        return None
+    light = facts.brightness(question.light)
+    made = plan_depth(optics, question.pitch, facts.depth, light, question.limit, scene=scene)
+    for distance in made.distances[[0, -1]]:
+        try:
+            optics.waves(scene.wavelengths[:1], distance=distance)
+        except OutOfRange as error:
+            raise OutOfRange(
+                "depth",
+                f"{distance:.4g} m with the focus at {optics.object_distance:.4g} m",
+                f"nearer to the focus, or a smaller aperture: {error}",
+            ) from None
+    if made.sheets:
+        made.predicted["depth, light behind the edges of layers"] = _behind_edges(question, made)
+    return made
+
+
+def _behind_edges(question, depth):
+    """Relative RMS error of a product: blurred light behind a layer times the layer's blurred transmission.
+
+    Exact is the blur of their product. The two differ by the covariance of light and coverage
+    within the kernel of a circular pupil and the pixel, at the mean wavelength in a mirrored world.
+    First each is blurred for its own distance by a disc of diameter c, approximated by a Gaussian
+    of standard deviation c / 4.
+    """
+    # of the cosines of a mirrored world
+    fy, fx = (np.arange(n)[:, None] / (2 * n) for n in question.size)
+    s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
+    seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    seen *= np.sinc(fy * question.cell[0])
+    seen *= np.sinc(fx.T * question.cell[1])
+    light, own, wrong = None, 0.0, 0.0
+    for content, alpha, confusion in reversed(depth.sheets):
+        front = content.on_host().brightness(question.light).astype(np.float64)
+        width = np.abs(confusion).mean() / 4
+        if light is not None:
+            cover = gaussian_filter(np.asarray(alpha, np.float64), width)
+            behind = gaussian_filter(light, own)
+            apart = [idctn(dctn(one) * seen) for one in (cover * behind, cover, behind)]
+            wrong += float(np.mean((apart[0] - apart[1] * apart[2]) ** 2))
+        light = front if light is None else alpha * front + (1 - alpha) * light
+        own = width
+    size = float(np.mean(light**2))
+    return (wrong / size) ** 0.5 if size > 0 else 0.0
+
+
+def _one_distance(question, probes):
+    """Bound of the error of a blur that is in focus at all distances.
+
+    Defocus changes the wavefront at the pupil's rim by W waves. Any two points of the pupil then
+    differ by at most 2 pi W in phase, so no transfer function changes by more than this, or by more
+    than 2. If the blur is wider than the probes' rim, they cannot show it. Layers that cover a part
+    of a sample cannot be shown without composition.
+    """
+    optics, scene = question.optics, question.scene
+    depth = np.asarray(question.facts.depth, np.float64)
+    for layer in scene.layers:
+        alpha = np.asarray(layer.alpha)
+        if np.any((alpha > 0) & (alpha < 1)):
+            return UNKNOWN
+    if not question.is_blurred:
+        return DECLARED
+    if not (np.isfinite(depth).all() and depth.min() > optics.focal_length):
+        return UNKNOWN
+    # of the sensor [m]
+    shift = np.abs(optics.displacement(1.0) * (1 / optics.object_distance - 1 / depth)).max()
+    if shift / optics.working_f_number / 2 > RIM * question.pitch:
+        return UNKNOWN
+    waves = shift / (8 * optics.working_f_number**2) / (scene.wavelengths.min() * 1e-9)
+    return probes().change_error(min(2 * np.pi * waves, 2.0))
+
+
+def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:
+    """Return the named errors of the blur by distance, located at edges."""
+    if depth is None:
+        return {}
+    local, own = Bound if probes is None else probes.local, depth.predicted
+    return {name: local(error) for name, error in own.items() if not name.startswith(OTHERS)}
+
+
+def describe_depth(depth: DepthPlan | None, notes: Notes):
+    """Note how the blur follows distance."""
+    if depth is None:
+        return
+    notes.models["optics.composite"] = depth.model
+    notes.beside |= {
+        name: error for name, error in depth.predicted.items() if name.startswith(OTHERS)
+    }
+    if depth.layers > 1 and not depth.sheets:
+        name = next(name for name in depth.predicted if name.startswith("depth, in layers"))
+        notes.leave_out(
+            "surfaces hidden by nearer objects: one picture does not show them; the picture next to them is "
+            "continued there",
+            notes.bounds.get(name) or Bound(depth.predicted[name]),
+            name,
+        )

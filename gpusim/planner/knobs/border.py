@@ -201,7 +201,8 @@ def surroundings(
             yield [around(reach)]
         return
     tails = question.lens.tails(question.scene.wavelengths)
-    near, wider = [first], []
+    near = [first]
+    wider: list[Surroundings] = []
     for overlap in OVERLAPS:
         tiles = in_tiles(overlap, tails)
         if tiles is not None:

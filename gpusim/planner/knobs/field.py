@@ -10,36 +10,13 @@ from gpusim.optics.field import (
     farthest_corner,
     natural_difference,
 )
-from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
+from gpusim.optics.fusion import Response, channel_operator, joint_operator
 from gpusim.planner.question import Question
 
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur without a tolerance
 MOST_PLANES = 6  # a channel, of a field-varying blur
-SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
-DOUBT = f"the blur varies over a frame of less than {SMALL} samples; a larger frame can be judged"
-# beyond it predicted over true was .4 to .7 in sigmas: the windows see little of so wide a blur
-WIDEST_Q = 24.0
-BETWEEN_DOUBT = (
-    "pixels end between the scene's samples, and light between blurred samples is interpolated"
-)
-WIDE_DOUBT = f"wavelength x f-number is more than {WIDEST_Q:g} samples: too wide a blur for windows of {SAMPLED_PERIOD}"
 WIDEST_ROOM = 8  # times the limit: largest error of a natural scene by the end of kernels, if this scene is flatter
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
-
-
-def doubt_of(question: Question) -> str:
-    """Return why predicted errors are not certain (the lens varies within its kernels, a very wide blur), or ""."""
-    if not question.is_blurred:
-        return ""
-    ratio = question.ratio
-    if ratio != 1:  # of a pixel's aperture, among the cells of the samples
-        width, side = np.array(question.aperture), np.array([[-0.5], [0.5]])
-        edges = ratio * (0.5 + np.array(question.sensor.displacement) + side * width)
-        if not ratio.is_integer() or (np.abs(edges - np.rint(edges)) > 1e-6).any():
-            return BETWEEN_DOUBT
-    if not question.lens.is_uniform and min(question.size) < SMALL:
-        return DOUBT
-    return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
 
 
 def varying_planes(question: Question, response: Response, prior, flat):

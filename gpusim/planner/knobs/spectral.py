@@ -18,7 +18,7 @@ from gpusim.planner.choices import Fusion, Planes
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs.field import varying_planes
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.knobs.sampling import taps_of
+from gpusim.planner.knobs.pixels import taps_of
 from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
 from gpusim.planner.question import DECLARED, Notes, Question
 
