@@ -191,7 +191,7 @@ def whole(low: int, high: int) -> Callable[[str], int]:
 
 def _time(text):
     """Return an exposure time [s], or "auto"."""
-    from gpusim.domain.quantities import parse_seconds
+    from gpusim.domain.exposure import parse_seconds
 
     try:
         return text if text == "auto" else parse_seconds(text)

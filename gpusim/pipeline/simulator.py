@@ -8,12 +8,12 @@ from typing import Any, overload
 
 from gpusim.backends import Device, open_device
 from gpusim.backends.tape import OwnTape
+from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
-from gpusim.domain.foreign import is_array
+from gpusim.domain.memory import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
-from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.kernels.sensor.noise import OUT
 from gpusim.pipeline import truths

@@ -16,8 +16,8 @@ import gpusim as gs
 from gpusim.apps.pairs.pairs import Pairs
 from gpusim.apps.pairs.variety import Variety
 from gpusim.cli.main import main
+from gpusim.domain.account import Tolerance
 from gpusim.domain.errors import BadData, NotMet
-from gpusim.domain.tolerance import Tolerance
 
 SIZE, COUNT, SEED = (48, 32), 3, 4
 MONO = gs.open_camera("mono")

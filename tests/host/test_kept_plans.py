@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpusim.data.charts import chart
-from gpusim.domain.tolerance import Tolerance
+from gpusim.domain.account import Tolerance
 from gpusim.io.camera.cameras import open_camera
 from gpusim.pipeline.cache import Cache
 from gpusim.planner.plan import plan

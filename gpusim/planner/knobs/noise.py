@@ -4,9 +4,8 @@ from dataclasses import replace
 from math import sqrt
 from typing import Any
 
-from gpusim.domain.account import Bound
+from gpusim.domain.account import Bound, Tolerance
 from gpusim.domain.sensor import Sensor
-from gpusim.domain.tolerance import Tolerance
 
 FAR = 10.0  # times below the tolerance
 # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
