@@ -15,9 +15,9 @@ from frames import SECONDS, cube
 from results import add_repeat, add_size, compared, parser, ready, rms, start
 
 from gpusim.data.charts import chart
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import OutOfRange
-from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.simulator import Simulator

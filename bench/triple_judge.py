@@ -20,9 +20,8 @@ import triple_outside
 import triple_scenes
 
 import gpusim as gs
-from gpusim.domain.account import SAFETY
+from gpusim.domain.account import SAFETY, Tolerance
 from gpusim.domain.errors import GpusimError, OutOfRange
-from gpusim.domain.tolerance import Tolerance
 from gpusim.pipeline.report import Error
 
 KINDS = {"old": triple_mixed.OLD, "combined": triple_mixed.MIXED}

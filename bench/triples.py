@@ -25,8 +25,8 @@ from triple_scenes import DEVELOPMENT, HELD_OUT, TOLERANCES, triple
 from triple_summary import summary
 
 import gpusim as gs
+from gpusim.domain.account import Tolerance
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import frame_ms
 from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.pipeline.report import Error

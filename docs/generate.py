@@ -99,7 +99,7 @@ GROUPS = {  # by the module of a public name, in the order of the page
         "pipeline.report",
         "apps.tensors.batches",
         "backends",
-        "domain.tolerance",
+        "domain.account",
         "domain.errors",
     ),
     "Cameras": (
@@ -130,7 +130,7 @@ GROUPS = {  # by the module of a public name, in the order of the page
         "data.illumination",
         "io",
     ),
-    "Things that move": ("domain.view", "domain.motion", "domain.animation", "domain.flicker"),
+    "Things that move": ("domain.motion", "domain.animation", "domain.flicker"),
     "Several exposures": ("captures", "io.frame"),
     "Preview and pictures": ("apps.preview", "plot"),
 }

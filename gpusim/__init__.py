@@ -30,6 +30,7 @@ _NAMES = {
     "data.displays": "open_display display_names display_picture",
     "data.illumination": "illuminate",
     "data.lights": "illuminant",
+    "domain.account": "Tolerance",
     "domain.animation": "Actor Animation",
     "domain.calibration": "Calibration",
     "domain.camera": "Camera",
@@ -44,11 +45,9 @@ _NAMES = {
     "domain.optics": "Optics",
     "domain.processor": "Processor",
     "domain.psf": "PointSpread",
-    "domain.scene": "Scene Layer",
+    "domain.scene": "Scene Layer View",
     "domain.sensor": "Sensor",
     "domain.spectrum": "Spectrum",
-    "domain.tolerance": "Tolerance",
-    "domain.view": "View",
     "io.camera.calibration": "read_calibration",
     "io.camera.cameras": "open_camera camera_names",
     "io.camera.emva1288": "sensor_from_emva1288",
@@ -117,8 +116,8 @@ if TYPE_CHECKING:
     from gpusim.domain.scene import Layer as Layer, Scene as Scene
     from gpusim.domain.sensor import Sensor as Sensor
     from gpusim.domain.spectrum import Spectrum as Spectrum
-    from gpusim.domain.tolerance import Tolerance as Tolerance
-    from gpusim.domain.view import View as View
+    from gpusim.domain.account import Tolerance as Tolerance
+    from gpusim.domain.scene import View as View
     from gpusim.pipeline.exposure import Exposure as Exposure
     from gpusim.pipeline.frame import Frame as Frame
     from gpusim.io.scene.arrays import scene_from as scene_from

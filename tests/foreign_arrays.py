@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 import gpusim as gs
-from gpusim.domain.foreign import READ_BY_HOST
+from gpusim.domain.memory import READ_BY_HOST
 
 WAVELENGTHS = np.linspace(420.0, 680.0, 7)
 CAMERA = gs.open_camera("phone")

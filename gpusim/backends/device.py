@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from gpusim.domain.errors import BadData, DeviceError
-from gpusim.domain.foreign import to_host
-from gpusim.domain.memory import Pinned, host_memory
+from gpusim.domain.memory import Pinned, host_memory, to_host
 
 
 class Transfer:

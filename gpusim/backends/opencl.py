@@ -10,9 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.backends.buffers import VECTOR, Block, OpenCLArray
+from gpusim.backends.buffers import VECTOR, Arriving, Block, Command, OpenCLArray
 from gpusim.backends.caches import pocl_folder
-from gpusim.backends.commands import Arriving, Command
 from gpusim.backends.device import kernel_folder
 from gpusim.backends.driver import finish, pyopencl
 from gpusim.backends.pocl import known_processor

@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.backends.device import Device
 from gpusim.backends.refusal import of_command, of_launch, of_shape, of_values, refusable
-from gpusim.domain.foreign import to_host
+from gpusim.domain.memory import to_host
 
 SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are copied again
 

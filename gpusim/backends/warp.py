@@ -17,11 +17,16 @@ from gpusim.backends.caches import has_room, keep_sound, lent_folder, note, remo
 from gpusim.backends.native import native_kernel
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import Taped
-from gpusim.backends.warp_arrays import array_class, mark_in, ordinal_of, wait_for
-from gpusim.backends.warp_commands import Arriving, Command
+from gpusim.backends.warp_arrays import (
+    Arriving,
+    Command,
+    array_class,
+    mark_in,
+    ordinal_of,
+    wait_for,
+)
 from gpusim.domain.errors import BadData, DeviceError
-from gpusim.domain.foreign import CUDA, dlpack_kind, name_of
-from gpusim.domain.memory import Pinned
+from gpusim.domain.memory import CUDA, Pinned, dlpack_kind, name_of
 
 
 def start_warp():

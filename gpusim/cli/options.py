@@ -225,7 +225,7 @@ def size(text: str) -> tuple[int, int]:
 
 def _time(text):
     """Return an exposure time [s], or "auto"."""
-    from gpusim.domain.quantities import parse_seconds
+    from gpusim.domain.exposure import parse_seconds
 
     try:
         return text if text == "auto" else parse_seconds(text)

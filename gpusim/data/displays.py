@@ -11,7 +11,7 @@ from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, UnknownName, is_known
-from gpusim.domain.foreign import describe_array, type_of
+from gpusim.domain.memory import describe_array, type_of
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 

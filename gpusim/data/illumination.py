@@ -9,8 +9,8 @@ import numpy as np
 from gpusim.data.lights import light_of, white_radiance
 from gpusim.domain.content import check_not_negative, is_seen
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import describe_array
 from gpusim.domain.illuminated import Illuminated, spline, surfaces_of
+from gpusim.domain.memory import describe_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum
 

@@ -11,8 +11,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.foreign import describe_array, to_host, type_of
-from gpusim.domain.memory import Pinned
+from gpusim.domain.memory import Pinned, describe_array, to_host, type_of
 from gpusim.domain.short_repr import span
 from gpusim.domain.spectrum import check_wavelengths
 

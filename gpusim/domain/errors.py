@@ -195,7 +195,7 @@ class Limits(NamedTuple):
 
 
 def within(words: str, unit: str = "") -> Limits:
-    """Return the limits that begin like `words`: "0 < gain <= 1e4, the largest gain"."""
+    """Return limits from words that begin with a range: "0 < gain <= 1e12, or automatic"."""
     lowest, above, below, highest = RANGE.match(words).groups()  # type: ignore[union-attr]
     values = Interval(float(lowest), float(highest), above == "<=", below == "<=")
     return Limits(words, values, unit)

@@ -7,7 +7,7 @@ from math import isfinite, log, pi
 import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.view import View
+from gpusim.domain.scene import View
 
 WAVES = 24  # number of waves of a shake along each axis
 SLOWEST, FASTEST = 0.5, 12.0  # [Hz] frequencies of a hand: from sway to tremor

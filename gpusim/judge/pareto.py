@@ -16,10 +16,10 @@ import numpy as np
 import scipy.fft
 
 from gpusim.backends import Device
+from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.judge.truth import require_truth, true_mean
 from gpusim.judge.truth_light import MODES, centre_pads

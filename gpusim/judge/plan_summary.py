@@ -4,8 +4,8 @@ from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 
+from gpusim.domain.account import Tolerance
 from gpusim.domain.scene import Scene
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.optics.lengths import Tiling
 from gpusim.pipeline.simulator import Simulator

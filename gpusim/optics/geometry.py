@@ -8,8 +8,8 @@ import scipy
 
 from gpusim.domain.distortion import Model, ideal
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.scene import View
 from gpusim.domain.sensor import Microlens
-from gpusim.domain.view import View
 
 STEPS = (64, 32, 16, 8, 4, 2, 1)  # [pixel] between nodes, at most
 # error of places and fluxes that is small enough; cells along an axis for it, at most

@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, DoesNotFit, checked_count
-from gpusim.domain.foreign import is_array
+from gpusim.domain.memory import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.pipeline.cache import Cache, same

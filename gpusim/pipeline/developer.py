@@ -10,10 +10,9 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.color.color import transform_set
-from gpusim.color.encoding import decoding
 from gpusim.color.rendering import Rendering, rebalance, transform_arguments
 from gpusim.domain.camera import Camera
-from gpusim.domain.display import Display
+from gpusim.domain.display import Display, decoding
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.kernels.display.encode import encode, thresholds

@@ -8,9 +8,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from gpusim.color.camera_profile import color_profile
-from gpusim.color.encoding import decoding
 from gpusim.color.rendering import Rendering
 from gpusim.domain.camera import Camera
+from gpusim.domain.display import decoding
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.labels import Pictured
 from gpusim.domain.short_repr import shorten_repr

@@ -8,11 +8,11 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.color.shading import phase_gains, relative_response, shading_gains
-from gpusim.domain.binning import bin_mosaic
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content, Picture
 from gpusim.domain.errors import BadData
-from gpusim.domain.view import View
+from gpusim.domain.mosaics import bin_mosaic
+from gpusim.domain.scene import View
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH, blur

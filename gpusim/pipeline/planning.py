@@ -6,8 +6,7 @@ from math import ceil, prod
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, NotMet, OutOfRange, format_value
-from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.view import View
+from gpusim.domain.scene import Scene, View, checked_scene
 from gpusim.optics.lengths import LENGTHS
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same

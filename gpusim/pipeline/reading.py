@@ -7,8 +7,8 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.content import Basis, Content, Materials, Picture, is_seen
-from gpusim.domain.foreign import type_of
 from gpusim.domain.illuminated import Illuminated
+from gpusim.domain.memory import type_of
 from gpusim.domain.scene import Scene
 from gpusim.kernels.spectral.decode import decode
 from gpusim.kernels.spectral.illuminate import illuminate

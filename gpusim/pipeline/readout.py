@@ -11,9 +11,9 @@ import numpy as np
 
 from gpusim.backends import Device, open_device
 from gpusim.backends.tape import OwnTape, recording
-from gpusim.domain.binning import bin_mosaic
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange, checked_count
 from gpusim.domain.exposure import checked_time
+from gpusim.domain.mosaics import bin_mosaic
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.kernels.processor.interpolate import least_frame

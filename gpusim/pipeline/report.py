@@ -4,10 +4,9 @@ from dataclasses import asdict, dataclass, field
 
 import numpy as np
 
-from gpusim.domain.account import Account, Bound, Verdict
+from gpusim.domain.account import Account, Bound, Tolerance, Verdict
 from gpusim.domain.labels import Tabled
 from gpusim.domain.short_repr import shorten_repr
-from gpusim.domain.tolerance import Tolerance
 
 
 @dataclass(frozen=True)

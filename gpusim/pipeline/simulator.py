@@ -9,10 +9,9 @@ from gpusim import pipeline
 from gpusim.backends import Device, open_device
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
-from gpusim.domain.foreign import is_array
+from gpusim.domain.memory import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
-from gpusim.domain.tolerance import Tolerance
 from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.pipeline.batch import Batch
 from gpusim.pipeline.cache import Cache

@@ -7,7 +7,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, checked_count
-from gpusim.domain.foreign import CPU, dlpack_kind, is_array, to_host
+from gpusim.domain.memory import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.pipeline.program import checked_output
 from gpusim.planner.plan import Plan

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.domain.tolerance import Tolerance
+from gpusim.domain.account import Tolerance
 from gpusim.optics.sampling import Taps
 
 

@@ -5,10 +5,9 @@ from functools import cache
 
 import numpy as np
 
-from gpusim.domain.account import UNKNOWN, Account, Bound, total
+from gpusim.domain.account import UNKNOWN, Account, Bound, Tolerance, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.sensor import Sensor
-from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.drift import Watch
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.lengths import Tiling

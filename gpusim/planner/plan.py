@@ -8,13 +8,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from gpusim.domain.account import Account, Bound, Verdict, total
+from gpusim.domain.account import Account, Bound, Tolerance, Verdict, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
 from gpusim.domain.short_repr import shorten_repr
-from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.drift import Watch
 from gpusim.optics.field import FieldBlur

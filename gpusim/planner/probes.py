@@ -13,7 +13,7 @@ import scipy.fft
 import scipy.ndimage
 
 from gpusim.domain.account import Bound
-from gpusim.domain.view import View
+from gpusim.domain.scene import View
 from gpusim.optics.fusion import SAMPLED_PERIOD, in_range
 from gpusim.optics.geometry import interpolated_share, interpolation_error
 from gpusim.optics.outside import border_indices

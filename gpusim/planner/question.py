@@ -6,7 +6,7 @@ from math import ceil
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY, Bound
+from gpusim.domain.account import SAFETY, Bound, Tolerance
 from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
@@ -15,7 +15,6 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
-from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lens import Lens, open_lens
 from gpusim.optics.tables import Caching, Tables
 from gpusim.optics.weights import check_light, electrons_per_content

@@ -7,8 +7,7 @@ from itertools import chain
 from math import log2, prod
 from operator import attrgetter
 
-from gpusim.domain.account import SAFETY, Bound, total
-from gpusim.domain.tolerance import Tolerance
+from gpusim.domain.account import SAFETY, Bound, Tolerance, total
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.splines import multiplications
 from gpusim.planner.knobs.border import Surroundings

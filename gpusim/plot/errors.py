@@ -4,9 +4,9 @@ from typing import Any
 
 import numpy as np
 
+from gpusim.domain.account import Tolerance
 from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.plan_summary import Forecast
 from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.pipeline.report import Error, Report

@@ -17,7 +17,7 @@ from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, format_value
 from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
-from gpusim.domain.scene import Scene, checked_scene
+from gpusim.domain.scene import Scene, View, checked_scene
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import (
     LONGEST,
@@ -26,7 +26,6 @@ from gpusim.domain.spectrum import (
     energy_from_photons,
     energy_per_photon,
 )
-from gpusim.domain.view import View
 from gpusim.measure.ideal import pixel_sums, sample_sums
 from gpusim.optics.outside import rule_of
 from gpusim.optics.sampling import frame_start

@@ -4,7 +4,7 @@ Ports: pixels (rows, cols) float32 [e-] or uint16 [DN] -> (out_rows, out_cols) o
 unit.
 
 Pixels of one colour are `stride` apart along both axes: the mosaic's period, or 1 if `binning`
-pixels of one colour are adjacent (`gpusim.domain.binning`). Output row Y sums, with a = Y mod
+pixels of one colour are adjacent (`gpusim.domain.mosaics`). Output row Y sums, with a = Y mod
 stride and B = Y div stride, the rows
 
     B stride binning + a + stride j,   j = 0 .. binning - 1.

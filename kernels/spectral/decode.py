@@ -12,7 +12,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import type_of
+from gpusim.domain.memory import type_of
 from gpusim.kernels.stage import Array, exact_case, stage, warp_only
 
 CODES = {np.dtype(np.uint8): 2**8, np.dtype(np.uint16): 2**16}  # number of codes

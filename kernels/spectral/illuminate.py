@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import type_of
+from gpusim.domain.memory import type_of
 from gpusim.kernels.stage import Array, Case, exact_case, stage, warp_only
 
 

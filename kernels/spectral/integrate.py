@@ -10,7 +10,7 @@ result equals that for the same values in float32.
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.domain.foreign import type_of
+from gpusim.domain.memory import type_of
 from gpusim.kernels.stage import Array, Case, exact_case, stage, warp_only
 
 LINES = "spectral.integrate_lines"  # the kernels of CPUs

@@ -25,7 +25,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.foreign import type_of
+from gpusim.domain.memory import type_of
 from gpusim.kernels.spectral.take import take
 from gpusim.kernels.stage import Array, Case, stage
 

@@ -28,7 +28,7 @@ import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.buffers import OpenCLArray
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import dlpack_kind, to_host, type_of
+from gpusim.domain.memory import dlpack_kind, to_host, type_of
 from gpusim.planner.facts import Facts
 
 # ---- out

@@ -16,8 +16,8 @@ import gpusim as gs
 from gpusim.apps.pairs.pairs import Pairs
 from gpusim.apps.pairs.variety import Variety
 from gpusim.cli.main import main
+from gpusim.domain.account import Tolerance
 from gpusim.domain.errors import BadData, NotMet
-from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.highlights import Highlights

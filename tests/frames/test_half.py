@@ -7,7 +7,7 @@ from foreign_arrays import CAMERA, METERED, SHAPE, WAVELENGTHS, Tensor, cube, sa
 
 import gpusim as gs
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import type_of
+from gpusim.domain.memory import type_of
 from gpusim.kernels.spectral.survey import survey
 from gpusim.optics.highlights import Highlights
 from gpusim.pipeline.imaging import store_content

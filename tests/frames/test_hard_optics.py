@@ -8,9 +8,9 @@ from scipy.integrate import dblquad
 from test_fusion import made_for
 
 from gpusim.backends import open_device
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.hard.diffraction import sampled_error
 from gpusim.judge.hard.planner import library, response_of
 from gpusim.judge.hard.scenes import CAMERA, LIGHT, WAVELENGTHS, electrons, natural

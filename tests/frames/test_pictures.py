@@ -13,7 +13,7 @@ from gpusim.backends import open_device
 from gpusim.backends.opencl import OpenCLDevice
 from gpusim.domain.content import Picture
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.domain.foreign import type_of
+from gpusim.domain.memory import type_of
 from gpusim.kernels.spectral.decode import decode
 from gpusim.measure.ideal import ideal
 from gpusim.optics.drift import Watch

@@ -9,9 +9,9 @@ from test_fusion import made_for
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.hard.planner import library, response_of
 from gpusim.judge.hard.scenes import CAMERA, WAVELENGTHS, natural
 from gpusim.judge.hard.truth import relative

@@ -23,10 +23,10 @@ from lights import (
 )
 
 import gpusim as gs
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.truth import mean_and_truth
 from gpusim.optics.tables import call_always
 from gpusim.pipeline.cache import Cache

@@ -10,7 +10,7 @@ from foreign_arrays import Tensor
 from gpusim.backends import open_device
 from gpusim.backends.tape import Tape, recording
 from gpusim.domain.content import Basis, Cube, Materials, Picture
-from gpusim.domain.foreign import type_of
+from gpusim.domain.memory import type_of
 from gpusim.pipeline import reading
 from gpusim.pipeline.imaging import store_content
 from gpusim.pipeline.reading import Reading, store

@@ -11,7 +11,7 @@ from devices import KINDS
 import gpusim as gs
 from gpusim.apps.tensors.replicator import Views
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import to_host
+from gpusim.domain.memory import to_host
 
 RANDOM = np.random.default_rng(4)
 FRAME = RANDOM.random((24, 32, 4)).astype(np.float16)

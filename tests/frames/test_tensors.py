@@ -12,7 +12,7 @@ from PIL import Image
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.domain.foreign import to_host
+from gpusim.domain.memory import to_host
 
 RANDOM = np.random.default_rng(8)
 PICTURES = RANDOM.random((4, 3, 40, 48)).astype(np.float32)

@@ -10,12 +10,11 @@ from cameras import PHONE
 
 import gpusim as gs
 from gpusim.cli.main import main
-from gpusim.domain.account import SAFETY, Account, Bound, total
+from gpusim.domain.account import SAFETY, Account, Bound, Tolerance, total
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import NotMet
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.windows import Windows
 from gpusim.planner.choices import Blur

@@ -7,6 +7,7 @@ import pytest
 from scipy.special import jn_zeros
 
 from gpusim.data.curves import CHANNELS, curve
+from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
@@ -16,7 +17,6 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import camera_names, open_camera
 
 ULPS = 1e-14  # some ten float64 operations, each rounding by at most 1.1e-16

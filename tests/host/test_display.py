@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from gpusim.color.encoding import decoding
 from gpusim.data.colorimetry import xyz
 from gpusim.data.displays import display_names, display_picture, open_display
 from gpusim.data.lights import illuminant
-from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.display import DISPLAYS, Display, decoding
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 

@@ -6,9 +6,9 @@ from brute import Brute, spectra
 
 from gpusim.data.charts import chart
 from gpusim.data.lights import illuminant, white_radiance
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.hard.planner import library, response_of
 from gpusim.judge.hard.scenes import CAMERA, WAVELENGTHS, at_f_number, natural
 from gpusim.judge.hard.truth import relative

@@ -6,7 +6,7 @@ from typing import get_args, get_type_hints
 import numpy as np
 
 from gpusim.data.charts import chart
-from gpusim.domain.tolerance import Tolerance
+from gpusim.domain.account import Tolerance
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.drift import Watch
 from gpusim.pipeline.cache import Cache

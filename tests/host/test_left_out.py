@@ -9,9 +9,8 @@ import pytest
 
 import gpusim as gs
 from gpusim.cli.main import main
-from gpusim.domain.account import STATUS, UNKNOWN, Account, Bound, total, worst_state
+from gpusim.domain.account import STATUS, UNKNOWN, Account, Bound, Tolerance, total, worst_state
 from gpusim.domain.errors import BadData, NotMet
-from gpusim.domain.tolerance import Tolerance
 
 ROOT = Path(gs.__file__).parent
 WHITE = Tolerance.parse("video")

@@ -8,8 +8,8 @@ import scipy.fft
 from cameras import PHONE
 
 import gpusim as gs
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Basis, Cube, Materials
-from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.windows import Windows, _draw
 from gpusim.planner import probes
 from gpusim.planner.facts import Facts, OnHost

@@ -10,9 +10,8 @@ import gpusim as gs
 from gpusim.domain.account import SAFETY
 from gpusim.domain.content import Cube
 from gpusim.domain.optics import Optics
-from gpusim.domain.scene import Scene
+from gpusim.domain.scene import Scene, View
 from gpusim.domain.spectrum import Spectrum
-from gpusim.domain.view import View
 from gpusim.judge.truth import true_mean
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from devices import ALL, ALL_KINDS, DEVICES
 
-from gpusim.domain.binning import bin_mosaic, shortest_period
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.mosaics import bin_mosaic, shortest_period
 from gpusim.kernels.sensor.bin import bin, binned_shape
 
 

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike
 from gpusim.backends import Device
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
+from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.foreign import describe_array, to_host, type_of
+from gpusim.domain.memory import describe_array, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.short_repr import shorten_repr
-from gpusim.domain.tolerance import Tolerance
 from gpusim.io.scene.scenes import LIGHT, LUMINANCE
 from gpusim.pipeline.batch import one_each
 from gpusim.pipeline.simulator import Simulator

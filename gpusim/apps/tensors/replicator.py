@@ -13,7 +13,7 @@ import numpy as np
 from gpusim.apps.tensors.batches import PICTURES, Batch, move_axis
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
-from gpusim.domain.foreign import describe_array
+from gpusim.domain.memory import describe_array
 
 COLOUR = "HdrColor"
 

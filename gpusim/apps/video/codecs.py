@@ -24,8 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.color.encoding import decoding
-from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.display import DISPLAYS, Display, decoding
 from gpusim.domain.errors import BadFile, Conflict, GpusimError, OutOfRange, UnknownName
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import reading

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from math import isfinite
 from typing import Any
 
-from gpusim.domain.quantities import parse_seconds
+from gpusim.domain.exposure import parse_seconds
 
 
 def read_named(text: str, read: Callable[[str, str], Any], wanted: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.content import NUMBERS, Cube
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, UnknownName
-from gpusim.domain.foreign import describe_array, to_host, type_of
+from gpusim.domain.memory import describe_array, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.scene.photo import lift

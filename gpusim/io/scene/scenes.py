@@ -17,8 +17,8 @@ from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
-from gpusim.domain.foreign import describe_array, type_of
 from gpusim.domain.illuminated import Illuminated
+from gpusim.domain.memory import describe_array, type_of
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.scene.depth import check_depth

@@ -5,10 +5,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.tolerance import Tolerance
 from gpusim.io.camera.cameras import open_camera
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case

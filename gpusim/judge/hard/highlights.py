@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, electrons, mean_of, natural

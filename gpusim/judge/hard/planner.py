@@ -7,9 +7,9 @@ import numpy as np
 
 from gpusim.data.charts import chart
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, as_cube

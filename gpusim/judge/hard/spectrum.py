@@ -6,11 +6,11 @@ from functools import lru_cache
 import numpy as np
 
 from gpusim.data.reflectances import reflectances
+from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube, Materials
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
-from gpusim.domain.tolerance import Tolerance
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, mean_of, natural

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
+from gpusim.domain.account import SAFETY, UNKNOWN, Bound, Tolerance, total
 from gpusim.domain.calibration import Calibration, Framed
 from gpusim.domain.distortion import ideal
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.sensor import Sensor
-from gpusim.domain.tolerance import Tolerance
 from gpusim.optics.geometry import (
     DistortionGrid,
     distortion_grid,
