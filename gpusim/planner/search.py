@@ -8,8 +8,8 @@ from math import log2, prod
 
 from gpusim.domain.account import SAFETY, Bound, total
 from gpusim.domain.tolerance import Tolerance
+from gpusim.optics.farfield import multiplications
 from gpusim.optics.lengths import Tiling
-from gpusim.optics.splines import multiplications
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.spectral import Way
