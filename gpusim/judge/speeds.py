@@ -16,7 +16,7 @@ from gpusim.backends.tape import Tape, recording
 from gpusim.judge.bench import make_resident
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import public_function, stage_module
-from gpusim.optics.splines import multiplications
+from gpusim.optics.farfield import multiplications
 from gpusim.pipeline.step import steps_needed
 
 SIZES = ((96, 128), (480, 640))  # rows and columns of a stage's benchmarks

@@ -18,7 +18,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
-from gpusim.optics import ladder
+from gpusim.optics import farfield
 from gpusim.optics.otf import transfer
 from gpusim.optics.psf import mean_slopes, psf_tables, pupil_kernel, spread_at, steepest_slope
 
@@ -184,7 +184,7 @@ class Lens(Protocol):
         """
 
     def tails(self, wavelengths) -> np.ndarray:
-        """Return the decay as powers r^-3, r^-5, r^-7, shape (L, 3): see `gpusim.optics.ladder.tail`."""
+        """Return the decay as powers r^-3, r^-5, r^-7, shape (L, 3): see `gpusim.optics.farfield.tail`."""
 
     def spread(self, wavelengths, height: float = 0.0, distance: float | None = None) -> float:
         """Return the radius within which the rays of a point meet the image, or its spread ends [sample].
@@ -239,7 +239,7 @@ class _OnGrid:
 
     def tails(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
-        return np.zeros((len(wavelengths), len(ladder.POWERS)))
+        return np.zeros((len(wavelengths), len(farfield.POWERS)))
 
     def cutoff(self, wavelength) -> float:
         """See `Lens`."""
@@ -299,7 +299,7 @@ class PupilLens(_OnGrid):
         pupil = self.optics.pupil
         share = float(pupil.outline / (pupil.outline + 2 * np.pi * pupil.obscuration))
         lines = tuple(pupil.sides.tolist())
-        return Tail(ladder.edge_tail(pupil), lines, share if lines else 0.0)
+        return Tail(farfield.edge_tail(pupil), lines, share if lines else 0.0)
 
     def tails(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
@@ -308,7 +308,7 @@ class PupilLens(_OnGrid):
         rows = self.aperture[0] ** 2 / 12 + (down / self.pitch / 2) ** 2 + soft
         cols = self.aperture[1] ** 2 / 12 + (across / self.pitch / 2) ** 2 + soft
         waves = optics.waves(wavelengths)
-        return ladder.tail(optics.pupil, self._q(wavelengths), waves, rows + cols)
+        return farfield.tail(optics.pupil, self._q(wavelengths), waves, rows + cols)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""

@@ -10,7 +10,7 @@ from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil
-from gpusim.optics.ladder import edge_tail
+from gpusim.optics.farfield import edge_tail
 
 # Gauss-Legendre points per side of a pixel for a kernel to 1e-3 of its peak or better, from this q on
 QUADRATURE = ((1.0, 4), (0.7, 5), (0.5, 7), (0.25, 10), (0.0, 16))

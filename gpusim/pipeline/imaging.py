@@ -27,12 +27,12 @@ from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
+from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid, view_nodes
 from gpusim.optics.highlights import Highlights, point_kernels
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.lens import lens_of
-from gpusim.optics.splines import axes, multiplications
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.reading import WHOLE, planes, store
 from gpusim.pipeline.step import Chain, Rate, Step, Values

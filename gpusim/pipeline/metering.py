@@ -11,7 +11,7 @@ from gpusim.domain.exposure import AutoExposure, LightStatistics
 from gpusim.domain.sensor import Sensor
 from gpusim.kernels.sensor.meter import meter
 from gpusim.kernels.spectral.survey import survey
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.step import Rate, Step
 from gpusim.planner.plan import Plan

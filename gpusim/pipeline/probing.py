@@ -1,6 +1,6 @@
 """When to probe a scene: compare a reused plan with exact values of the scene.
 
-The survey of each scene gives the change of a plan's RMS error, in the frame and in a few rows (`gpusim.optics.drift`),
+A survey of each scene gives the change of a plan's RMS error, in the frame and in a few rows (`gpusim.optics.fusion`),
 but not the error of the worst pixels. Probes give it, at the cost of a frame or two, so they become rare while nothing
 changes. The first scene that a plan was not made for is probed. Each time that the plan holds, the interval to the next
 probe becomes about three times longer. If the survey rises above all its earlier values, a probe is due at once and the
@@ -13,7 +13,7 @@ import numpy as np
 
 from gpusim.domain.account import Account
 from gpusim.domain.scene import Scene
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.planner.plan import Plan
 
 MOVED = 1.1  # times the largest value of the survey: the margin with which planes are chosen

@@ -15,7 +15,7 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.optics.highlights import Highlights
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache, same

@@ -15,8 +15,7 @@ from gpusim.kernels.spectral.illuminate import illuminate
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
 from gpusim.kernels.spectral.take import take
-from gpusim.optics.drift import Watch
-from gpusim.optics.fusion import row_pairs
+from gpusim.optics.fusion import Watch, row_pairs
 from gpusim.planner.facts import OnHost
 from gpusim.planner.plan import Plan
 from gpusim.planner.probes import COUNT, SIDE

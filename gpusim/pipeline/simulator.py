@@ -7,6 +7,7 @@ from typing import overload
 
 from gpusim import pipeline
 from gpusim.backends import Device, open_device
+from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
 from gpusim.domain.memory import is_array

@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 from gpusim.domain.account import SAFETY, Account
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.planner.choices import Fusion
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import highlights, spectral

@@ -8,7 +8,7 @@ import numpy as np
 from gpusim.domain.account import UNKNOWN, Account, Bound, Tolerance, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.sensor import Sensor
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.lengths import Tiling
 from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Sampling

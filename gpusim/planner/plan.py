@@ -15,8 +15,8 @@ from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.drift import Watch
 from gpusim.optics.field import FieldBlur
+from gpusim.optics.fusion import Watch
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
 from gpusim.optics.lengths import Tiling

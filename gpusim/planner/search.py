@@ -8,8 +8,8 @@ from math import log2, prod
 from operator import attrgetter
 
 from gpusim.domain.account import SAFETY, Bound, Tolerance, total
+from gpusim.optics.farfield import multiplications
 from gpusim.optics.lengths import Tiling
-from gpusim.optics.splines import multiplications
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.knobs.spectral import Way

@@ -7,7 +7,7 @@ float32:
     out(y, x) = onto(y, x) + sum over k, g of  weights[c, k, g] (gaussian_g * planes_k)(y, x),
 
 c = cfa[y mod ph, x mod pw] for a mosaic. Grids of cubic splines represent the wide Gaussians
-(`gpusim.optics.splines`): a chain of sparse matrices along one axis after the other.
+(`gpusim.optics.farfield`): a chain of sparse matrices along one axis after the other.
 """
 
 import functools
@@ -21,8 +21,7 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.common.fft import constant
 from gpusim.kernels.stage import Array, Case, stage
-from gpusim.optics.ladder import LEAST
-from gpusim.optics.splines import SPACINGS, axes
+from gpusim.optics.farfield import LEAST, SPACINGS, axes
 
 LEAST_SIDE, LEAST_SIGMA = 8, LEAST  # of planes, and of Gaussians [sample]
 
@@ -75,7 +74,7 @@ def far(
             or do not increase.
 
     Source:
-        The sum is the formula. For its grids see `gpusim.optics.splines`.
+        The sum is the formula. For its grids see `gpusim.optics.farfield`.
     """
     shape = tuple(planes.shape[1:])
     weights, sigmas = (np.asarray(device.numpy(values), np.float64) for values in (weights, sigmas))

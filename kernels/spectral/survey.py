@@ -13,7 +13,7 @@ neighbouring rows the result holds the means over
     2  the upper row:           the same for the difference to the row below; 0 for the last row
 
 with |c|^2 = sum over e of c_e^2 as number P, the last, c times the first factor and v times the
-second. They are p^T M p and the trace of moments M = E[c c^T], from which `gpusim.optics.drift`
+second. They are p^T M p and the trace of moments M = E[c c^T], from which `gpusim.optics.fusion`
 predicts a plan's error, without the moments themselves. Differences are taken before projections;
 otherwise rounding would lose them in a smooth picture.
 """

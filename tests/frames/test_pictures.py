@@ -16,7 +16,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.memory import type_of
 from gpusim.kernels.spectral.decode import decode
 from gpusim.measure.ideal import ideal
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.optics.highlights import Highlights
 from gpusim.pipeline import imaging
 from gpusim.planner.facts import Facts

@@ -16,7 +16,7 @@ from gpusim.domain.content import Basis
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import unit_light
 from gpusim.judge.truth import true_error
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.pipeline.probing import Probing, kind_of
 from gpusim.planner.choices import Blur
 from gpusim.planner.plan import Plan

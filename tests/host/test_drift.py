@@ -11,8 +11,14 @@ from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.judge.hard.planner import library, response_of
 from gpusim.judge.hard.scenes import CAMERA, WAVELENGTHS, natural
 from gpusim.kernels.spectral.survey_ref import survey
-from gpusim.optics.drift import Watch, wrong_moments
-from gpusim.optics.fusion import Spectra, channel_operator, joint_operator, row_pairs
+from gpusim.optics.fusion import (
+    Spectra,
+    Watch,
+    channel_operator,
+    joint_operator,
+    row_pairs,
+    wrong_moments,
+)
 from gpusim.planner.knobs.spectral import PRIOR
 
 LIKELY = np.vstack([reflectances(name).at(WAVELENGTHS, outside=None) for name in PRIOR])

@@ -8,7 +8,7 @@ import numpy as np
 from gpusim.data.charts import chart
 from gpusim.domain.account import Tolerance
 from gpusim.io.camera.cameras import open_camera
-from gpusim.optics.drift import Watch
+from gpusim.optics.fusion import Watch
 from gpusim.pipeline.cache import Cache
 from gpusim.planner.choices import Blur, Fusion, Planes
 from gpusim.planner.plan import Plan, plan

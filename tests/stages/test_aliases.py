@@ -8,9 +8,8 @@ from scipy.fft import dctn
 from scipy.ndimage import gaussian_filter
 
 from gpusim.kernels.optics.far import far
-from gpusim.optics.ladder import energies, gaussians
+from gpusim.optics.farfield import energies, gaussians, misses
 from gpusim.optics.outside import Outside
-from gpusim.optics.splines import misses
 from gpusim.planner.knobs.farfield import FarField, spline_error
 
 SHAPE = 240, 200

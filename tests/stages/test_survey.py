@@ -13,8 +13,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.judge.hard.planner import response_of
 from gpusim.judge.hard.scenes import natural
 from gpusim.kernels.spectral.survey import survey
-from gpusim.optics.drift import Watch
-from gpusim.optics.fusion import Spectra
+from gpusim.optics.fusion import Spectra, Watch
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,7 @@
 """The endless world: the part of a blur that Gaussians over it replace, and the errors of that.
 
 The blur by transforms ends `reach` samples from the frame; the rest of the lens is a sum of
-Gaussians (`gpusim.optics.ladder`). There are two errors. Transforms join the world's two ends,
+Gaussians (`gpusim.optics.farfield`). There are two errors. Transforms join the world's two ends,
 `reach` samples from the frame, and a step there spreads waves at the cut-off of the lens, which the
 Gaussians do not hold. And a tail of three powers neglects higher ones of lenses that are far from
 focus.
@@ -29,10 +29,9 @@ import scipy
 from numpy.polynomial.polynomial import polyval2d
 
 from gpusim.domain.optics import Optics
-from gpusim.optics.ladder import POWERS, RATIO, energies, gaussians
+from gpusim.optics.farfield import POWERS, RATIO, SPACINGS, energies, gaussians, misses
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.outside import FREQUENCIES, WINDOW, Outside, border_indices, rule_of
-from gpusim.optics.splines import SPACINGS, misses
 from gpusim.optics.windows import quantile
 from gpusim.planner.question import Question
 
@@ -95,7 +94,7 @@ class FarField:
     def energies(self, transfers, border: str | None = None) -> np.ndarray:
         """Return their part of a plan's transfer tables, shape (groups, planes, G).
 
-        transfers: see `Plan`. border: see `gpusim.optics.ladder.energies`.
+        transfers: see `Plan`. border: see `gpusim.optics.farfield.energies`.
         """
         each = energies(self.sigmas, self.tails, border)
         return each[None] if transfers is None else np.tensordot(transfers, each, 1)

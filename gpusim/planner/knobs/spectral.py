@@ -9,8 +9,14 @@ import numpy as np
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.spectrum import LINE
-from gpusim.optics.drift import Watch, wrong_moments
-from gpusim.optics.fusion import SAMPLED_PERIOD, Response, channel_operator, joint_operator
+from gpusim.optics.fusion import (
+    SAMPLED_PERIOD,
+    Response,
+    Watch,
+    channel_operator,
+    joint_operator,
+    wrong_moments,
+)
 from gpusim.optics.sampling import pixel_response
 from gpusim.optics.tables import field_tables
 from gpusim.optics.windows import Windows
