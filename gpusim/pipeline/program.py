@@ -415,9 +415,10 @@ class Program:
         if check.plan.scene is check.scene or self._fixed_plan is not None:
             return
         plan, scene, probing, self._drift = check.plan, check.scene, self.before.probing, None
+        watch: Any = plan.watch  # not None where there is a survey
         if check.survey is not None:
             found = check.survey()
-            self._drift, steepest = plan.watch.errors(found)
+            self._drift, steepest = watch.errors(found)
             probing.add_survey(plan, scene, self._drift, steepest)
         if not plan.fits(light, self._drift):
             self.before.plan = None
@@ -425,7 +426,7 @@ class Program:
                 probing.note_misfit(
                     plan,
                     scene,
-                    plan.watch.count_missing_planes(found, plan.limit),
+                    watch.count_missing_planes(found, plan.limit),
                     scene is self.scene,
                 )
 
