@@ -239,7 +239,7 @@ class Developer:
     def _demosaic(self, chain: Chain, numbers: "_Numbers", pixels: int) -> None:
         """Add the step to camera values of each pixel, (C, rows, cols), white level 1."""
         sensor, processor = self.camera.sensor, self.camera.processor
-        constants = {"black_level": numbers.black, "scale": numbers.scale}
+        constants: dict[str, Any] = {"black_level": numbers.black, "scale": numbers.scale}
         name, method = "", processor.demosaic
         run: Callable
         others: list[str]

@@ -417,9 +417,10 @@ class Program:
         if check.plan.scene is check.scene or self._fixed_plan is not None:
             return
         plan, scene, probing, self._drift = check.plan, check.scene, self.before.probing, None
+        watch: Any = plan.find(Watch)  # not None if there is a survey
         if check.survey is not None:
             found = check.survey()
-            self._drift, steepest = plan.find(Watch).errors(found)
+            self._drift, steepest = watch.errors(found)
             probing.add_survey(plan, scene, self._drift, steepest)
         if not plan.fits(light, self._drift):
             self.before.plan = None
@@ -427,7 +428,7 @@ class Program:
                 probing.note_misfit(
                     plan,
                     scene,
-                    plan.find(Watch).count_missing_planes(found),
+                    watch.count_missing_planes(found),
                     scene is self.scene,
                 )
 

@@ -352,7 +352,8 @@ class Readout:
             OutOfRange: The seed or a number is not allowed.
         """
         device, drawing = self.device, self._drawing
-        of, numbers = (chip_mean, exposure_time, gain), {"seed": seed, "frame": first}
+        of = chip_mean, exposure_time, gain
+        numbers: dict[str, float] = {"seed": seed, "frame": first}
         if frames is None and drawing.of and all(map(is_, drawing.of, of)):
             # only the kernel runs again, with other numbers and another array
             raw = device.empty(drawing.raw.shape, drawing.raw.dtype)

@@ -361,7 +361,7 @@ CHILD = """
 import pickle, sys
 import numpy as np
 simulator, plan, scene = pickle.load(sys.stdin.buffer)
-raw = simulator(scene, seed=4, frame=2, plan=plan).raw
+raw = simulator(scene, seed=4, first=2, plan=plan).raw
 sys.stdout.buffer.write(pickle.dumps((plan.name, simulator.plan(plan.scene).name, np.asarray(raw))))
 """
 
