@@ -17,7 +17,7 @@ __version__ = "0.1.0"
 # module -> names; resolved on first use, which keeps `import gpusim` fast
 _NAMES = {
     "apps.preview": "preview",
-    "apps.tensors.batches": "Batch",
+    "apps.tensors.batches": "PictureBatch",
     "backends": "open_device",
     "captures.bracket": "bracket change_exposure_time",
     "captures.burst": "burst average",
@@ -61,7 +61,7 @@ _NAMES = {
     "measure": "photon_transfer",
     "pipeline.exposure": "Exposure",
     "pipeline.frame": "Frame",
-    "pipeline.program": "Program",
+    "pipeline.loop": "Loop",
     "pipeline.readout": "Readout",
     "pipeline.simulator": "Simulator",
 }
@@ -73,7 +73,7 @@ __all__ = sorted(_PUBLIC)
 if TYPE_CHECKING:
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
-    from gpusim.apps.tensors.batches import Batch as Batch
+    from gpusim.apps.tensors.batches import PictureBatch as PictureBatch
     from gpusim.captures.bracket import bracket as bracket
     from gpusim.captures.bracket import change_exposure_time as change_exposure_time
     from gpusim.captures.burst import average as average, burst as burst
@@ -126,7 +126,7 @@ if TYPE_CHECKING:
     from gpusim.io.scene.scenes import save_scene as save_scene
     from gpusim.measure import photon_transfer as photon_transfer
     from gpusim.apps.preview import preview as preview
-    from gpusim.pipeline.program import Program as Program
+    from gpusim.pipeline.loop import Loop as Loop
     from gpusim.pipeline.readout import Readout as Readout
     from gpusim.pipeline.simulator import Simulator as Simulator
 

@@ -57,7 +57,7 @@ OTHERS = ("warp:cpu", "numpy")
 ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 2,
     "test_points_land_where_opencv_puts_them": 7,
-    "test_a_programs_memory_is_predicted": 3,
+    "test_a_loops_memory_is_predicted": 3,
     "test_a_draft_is_near_what_is_planned_for_the_lens": 6,
     "test_what_has_no_draft_is_planned": 2,
     "test_items_of_several_scenes": 4,

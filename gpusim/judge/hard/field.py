@@ -68,12 +68,12 @@ def _colour_of(shape, f_number, device):
     simulator = Simulator(camera, device=device, tolerance="1e-3")
     words = f"{shape[1]} x {shape[0]}, f/{f_number:g}"
     try:
-        program = simulator.program(scene, 1.0)
-        frame = program.frame()
+        loop = simulator.loop(scene, 1.0)
+        frame = loop.frame()
     except OutOfRange as refusal:
         return Found(0.0, 1e-3, f"{words} refused: {refusal}")
     places = [(int(shape[0] * v), int(shape[1] * u)) for v, u in COLOUR_PLACES]
-    weights, report = program.plan.weights[0], frame.report
+    weights, report = loop.plan.weights[0], frame.report
     exact = np.array([_pixel_electrons(values, camera, weights, place) for place in places])
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
     if not report.verdict.is_met:
