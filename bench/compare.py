@@ -165,12 +165,12 @@ def frame(device, size, tolerance) -> Subject:
             Scene(Cube(picture.wavelengths, device.array(part)), picture.illuminant, picture.border)
             for part in cubes
         ]
-        program = Simulator(camera, device=device, tolerance=limit).program(there[0], SECONDS)
+        loop = Simulator(camera, device=device, tolerance=limit).loop(there[0], SECONDS)
         given = cycle(there[::-1])
-        error = f"rms {rms(device.numpy(program.output('mean')), truth):.1e}"
+        error = f"rms {rms(device.numpy(loop.output('mean')), truth):.1e}"
 
         def run():
-            program.update(scene=next(given)).output("mean")
+            loop.update(scene=next(given)).output("mean")
             device.sync()
 
         return run, error

@@ -157,20 +157,20 @@ def one(
     scenes = [resident_scene(device, scene) for scene in _two(picture, content)]
     each = scenes[0].content.nbytes
     peak = Peak(device)
-    program = Simulator(open_camera(camera), device=device, tolerance=tolerance).program(
+    loop = Simulator(open_camera(camera), device=device, tolerance=tolerance).loop(
         scenes[0], SECONDS
     )
     begun = time.perf_counter()
-    program.raw(seed=1)
+    loop.raw(seed=1)
     device.sync()
     first = 1e3 * (time.perf_counter() - begun)
     loops, begun, used = Loops(device, repeat), time.perf_counter(), time.process_time()
     loops.measure(
         f"{size[0]}x{size[1]}, {bands} bands",
-        lambda k: program.update(scene=scenes[k % 2]).raw(seed=1, first=k),
+        lambda k: loop.update(scene=scenes[k % 2]).raw(seed=1, first=k),
     )
     busy = (time.process_time() - used) / (time.perf_counter() - begun)
-    most, plan = peak.bytes, program.plan
+    most, plan = peak.bytes, loop.plan
     begun = time.perf_counter()
     Simulator(open_camera(camera), device=device, tolerance=tolerance).plan(scenes[0])
     planning = 1e3 * (time.perf_counter() - begun)

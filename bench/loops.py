@@ -89,7 +89,7 @@ def scene_loops(scenes):
 
 
 def changes(base):
-    """Return name -> function from k to the arguments of `Program.update` in frame k."""
+    """Return name -> function from k to the arguments of `Loop.update` in frame k."""
     tones = [((0.0, 0.0), (0.4, 0.4 + 0.01 * k), (1.0, 1.0)) for k in range(4)]
     return {
         "frame number": lambda k: {},
@@ -148,15 +148,15 @@ def main():
 
 def _baseline(loops, simulator, scenes):
     """Measure the baseline and a new cube in turns, and the ratio of their times."""
-    program, baseline = (
-        simulator.program(scenes.cubes[0], SECONDS),
+    loop, baseline = (
+        simulator.loop(scenes.cubes[0], SECONDS),
         Baseline(simulator, scenes.cubes[0]),
     )
     values, device = cycle(scene.content.values for scene in scenes.cubes), simulator.device
 
     def ours():
         for k in range(3):
-            program.update(scene=scenes.cubes[k]).raw(seed=1, first=k)
+            loop.update(scene=scenes.cubes[k]).raw(seed=1, first=k)
         device.sync()
 
     slow, fast = "baseline: NumPy and SciPy, cube -> raw", "new cube, alternating"
@@ -174,8 +174,8 @@ def _baseline(loops, simulator, scenes):
 
 
 def _differing(simulator, scene, output, last, number):
-    """Return the number of values that differ from the output of a program for only this scene."""
-    fresh = simulator.program(scene, SECONDS)
+    """Return the number of values that differ from the output of a loop for only this scene."""
+    fresh = simulator.loop(scene, SECONDS)
     again = np.array(simulator.device.numpy(getattr(fresh, output)(seed=1, first=number)))
     return f"{np.count_nonzero(again != last)} of {last.size} values differ"
 
@@ -185,14 +185,14 @@ def _scenes(loops, simulator, scenes, only):
     for name, given, output in scene_loops(scenes):
         if only not in name:
             continue
-        program = simulator.program(given[0], SECONDS)
+        loop = simulator.loop(given[0], SECONDS)
 
-        def frame(k, program=program, given=given, output=output):
-            return getattr(program.update(scene=given[k % 3]), output)(seed=1, first=k)
+        def frame(k, loop=loop, given=given, output=output):
+            return getattr(loop.update(scene=given[k % 3]), output)(seed=1, first=k)
 
-        def check(program=program, frame=frame, given=given, output=output):
+        def check(loop=loop, frame=frame, given=given, output=output):
             last = np.array(device.numpy(frame(4)))
-            mean = np.array(device.numpy(program.exposure.mean))
+            mean = np.array(device.numpy(loop.exposure.mean))
             exact = Simulator(simulator.camera, device=device).expose(given[1], SECONDS).mean
             return (
                 f"rms {rms(mean, device.numpy(exact)):.2g}; "
@@ -230,12 +230,10 @@ def _changes(loops, simulator, base, scenes, only):
     for name, change in changes(base).items():
         if only not in f"{name} -> codes":
             continue
-        program = simulator.program(scenes.materials[0], SECONDS)
+        loop = simulator.loop(scenes.materials[0], SECONDS)
         loops.measure(
             f"{name} -> codes",
-            lambda k, program=program, change=change: program.update(**change(k)).codes(
-                seed=1, first=k
-            ),
+            lambda k, loop=loop, change=change: loop.update(**change(k)).codes(seed=1, first=k),
         )
 
 

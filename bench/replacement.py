@@ -79,7 +79,7 @@ def main():
     )
     pictures = np.repeat(frame[None, ..., :3].transpose(0, 3, 1, 2), arguments.count, axis=0)
     codes, raw = (
-        gs.Batch(base, device=arguments.device, output=output)(
+        gs.PictureBatch(base, device=arguments.device, output=output)(
             pictures, exposure_time=SECONDS, seed=1
         )
         for output in ("codes", "raw")

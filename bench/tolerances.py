@@ -80,27 +80,22 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
     simulators = {
         name: gs.Simulator(camera, device=device, tolerance=name) for name in (*TOLERANCES, None)
     }
-    programs = {
-        name: simulator.program(scenes[0], SECONDS) for name, simulator in simulators.items()
-    }
+    loops = {name: simulator.loop(scenes[0], SECONDS) for name, simulator in simulators.items()}
     on_host = replace(picture, content=Cube(picture.wavelengths, values))
     baseline, truth = (
         Baseline(simulators[None], on_host),
         true_mean(gs.Simulator, camera, on_host, simulators[None].plan(on_host), SECONDS),
     )
     steady = GPU_STEADY if device.is_gpu else STEADY
-    forms = {
-        name: lambda program=program: frames(program, scenes, steady)
-        for name, program in programs.items()
-    }
+    forms = {name: lambda loop=loop: frames(loop, scenes, steady) for name, loop in loops.items()}
     walls = rounds({**forms, "baseline": lambda: baseline.raw(values, SECONDS)}, repeat, warm=1)
     exposures = {
         name: simulator.expose(scenes[0], SECONDS) for name, simulator in simulators.items()
     }
     rows = []
     for name in TOLERANCES:
-        taken, plan, own = walls[name] / steady, programs[name].plan, exposures[name].plan
-        measured = stages(programs[name], scenes)
+        taken, plan, own = walls[name] / steady, loops[name].plan, exposures[name].plan
+        measured = stages(loops[name], scenes)
         rows.append(
             {
                 "name": f"{camera.name}, {picture.name}, {name}",
@@ -120,18 +115,18 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
     return rows
 
 
-def frames(program, scenes, count):
+def frames(loop, scenes, count):
     """Compute raw values of `count` new scenes."""
     for k in range(count):
-        program.update(scene=scenes[k % 2]).raw(seed=1, first=k)
-    program.simulator.device.sync()
+        loop.update(scene=scenes[k % 2]).raw(seed=1, first=k)
+    loop.simulator.device.sync()
 
 
-def stages(program, scenes) -> float:
+def stages(loop, scenes) -> float:
     """Return the milliseconds of all stages of a frame, including codes: the median of a few."""
     return float(
         np.median(
-            [program.update(scene=scenes[k % 2]).frame(seed=1, first=k).report.ms for k in range(5)]
+            [loop.update(scene=scenes[k % 2]).frame(seed=1, first=k).report.ms for k in range(5)]
         )
     )
 

@@ -340,25 +340,23 @@ def times(question, device: str) -> dict:
         else replace(question.scene)
         for _ in range(2)
     ]
-    programs, found = {}, {}
+    loops, found = {}, {}
     for name, tolerance in (("frame", question.tolerance), ("exact", None)):
         simulator = gs.Simulator(question.camera, device=device, tolerance=tolerance)
         begin = time.perf_counter()
         simulator.plan(question.scene)
         found[f"{name}_planning_ms"] = 1e3 * (time.perf_counter() - begin)
-        programs[name] = simulator.program(question.scene, exposure_time=0.01)
-        programs[name].frame()
-    walls: dict = {name: [] for name in programs}
-    stages: dict = {name: [] for name in programs}
+        loops[name] = simulator.loop(question.scene, exposure_time=0.01)
+        loops[name].frame()
+    walls: dict = {name: [] for name in loops}
+    stages: dict = {name: [] for name in loops}
     for number in range(REPEAT + 1):
-        for name, program in programs.items():
+        for name, loop in loops.items():
             begin = time.perf_counter()
-            raw = program.update(scene=scenes[0]).raw()
-            program.simulator.device.numpy(raw)  # waits; a frame is small
+            raw = loop.update(scene=scenes[0]).raw()
+            loop.simulator.device.numpy(raw)  # waits; a frame is small
             taken = 1e3 * (time.perf_counter() - begin)
-            report = (
-                program.update(scene=scenes[1]).frame().report
-            )  # all its stages, including codes
+            report = loop.update(scene=scenes[1]).frame().report  # all its stages, including codes
             if number:
                 walls[name].append(taken)
                 stages[name].append(report.ms)

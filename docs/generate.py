@@ -95,7 +95,7 @@ GROUPS = {  # by the module of a public name, in the order of the page
         "pipeline.simulator",
         "pipeline.exposure",
         "pipeline.frame",
-        "pipeline.program",
+        "pipeline.loop",
         "pipeline.report",
         "apps.tensors.batches",
         "backends",

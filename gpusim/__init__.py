@@ -36,7 +36,7 @@ _PUBLIC = {
     "Readout": "gpusim.pipeline.readout",
     "Layer": "gpusim.domain.scene",
     "View": "gpusim.domain.view",
-    "Batch": "gpusim.apps.tensors.batches",
+    "PictureBatch": "gpusim.apps.tensors.batches",
     "EventSensor": "gpusim.captures.events",
     "events_of": "gpusim.captures.events",
     "write_events": "gpusim.io.frame.events",
@@ -58,7 +58,7 @@ _PUBLIC = {
     "Simulator": "gpusim.pipeline.simulator",
     "Exposure": "gpusim.pipeline.exposure",
     "Frame": "gpusim.pipeline.frame",
-    "Program": "gpusim.pipeline.program",
+    "Loop": "gpusim.pipeline.loop",
     "open_device": "gpusim.backends",
     "open_camera": "gpusim.io.camera.cameras",
     "camera_names": "gpusim.io.camera.cameras",
@@ -91,7 +91,7 @@ __all__ = sorted(_PUBLIC)
 if TYPE_CHECKING:
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
-    from gpusim.apps.tensors.batches import Batch as Batch
+    from gpusim.apps.tensors.batches import PictureBatch as PictureBatch
     from gpusim.captures.bracket import (
         bracket as bracket,
         change_exposure_time as change_exposure_time,
@@ -162,7 +162,7 @@ if TYPE_CHECKING:
     )
     from gpusim.measure import photon_transfer as photon_transfer
     from gpusim.apps.preview import preview as preview
-    from gpusim.pipeline.program import Program as Program
+    from gpusim.pipeline.loop import Loop as Loop
     from gpusim.pipeline.readout import Readout as Readout
     from gpusim.pipeline.simulator import Simulator as Simulator
 

@@ -50,7 +50,7 @@ OTHERS = ("warp:cpu", "numpy")
 ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 2,
     "test_points_land_where_opencv_puts_them": 3,
-    "test_a_programs_memory_is_predicted": 2,
+    "test_a_loops_memory_is_predicted": 2,
     "test_a_draft_is_near_what_is_planned_for_the_lens": 3,
     "test_items_of_several_scenes": 2,
     "test_items_of_several_settings": 2,

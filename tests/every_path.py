@@ -17,13 +17,13 @@ def made_on(device, tolerance=4e-4, camera="phone") -> dict:
     simulator = gs.Simulator(gs.open_camera(camera), device=device, tolerance=tolerance)
     device, first = simulator.device, scenes()
     assert copy_gbps(device) > 0  # as `gpusim devices` tries it
-    program, found = simulator.program(first[0], SECONDS), {}
+    loop, found = simulator.loop(first[0], SECONDS), {}
     for number in range(3):  # noted, and replayed
         with device.timed() as ms:
-            found[f"raw {number}"] = program.raw(seed=3, first=number)
+            found[f"raw {number}"] = loop.raw(seed=3, first=number)
         assert ms and all(spent >= 0 for spent in ms.values())
-    found["codes"], found["irradiance"] = program.codes(seed=3), program.output("irradiance")
-    found["another scene"] = program.update(scene=first[1]).raw(seed=3)
+    found["codes"], found["irradiance"] = loop.codes(seed=3), loop.output("irradiance")
+    found["another scene"] = loop.update(scene=first[1]).raw(seed=3)
     found = taken(device, found)
     made = simulator.stream(first, "raw", seed=3, exposure_time=SECONDS)
     found |= {
@@ -39,7 +39,7 @@ def made_on(device, tolerance=4e-4, camera="phone") -> dict:
     found |= {"simulate": frame.raw, "picture": frame.rgb}
     # of a network: pictures of linear RGB, channels first
     pictures = np.random.default_rng(5).random((2, 3, *SIZE[::-1])).astype(np.float32)
-    found["batch of pictures"] = gs.Batch(simulator.camera, device=device, output="linear")(
+    found["batch of pictures"] = gs.PictureBatch(simulator.camera, device=device, output="linear")(
         pictures, seed=3
     )
     values = device.pinned((3, 5))  # arrays on their way, and back

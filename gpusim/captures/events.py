@@ -256,11 +256,11 @@ def events_of(
     times = start + duration * np.linspace(
         0, 1, checked_count("instants of events", instants, 2, MOST)
     )
-    program = simulator.program(scene.viewed(motion.at(start)), 1.0)
+    loop = simulator.loop(scene.viewed(motion.at(start)), 1.0)
 
     def rates():
         for time in times:
-            program.update(scene=scene.viewed(motion.at(time)))
-            yield np.array(simulator.device.numpy(program.output("mean", seed=0, first=0)))
+            loop.update(scene=scene.viewed(motion.at(time)))
+            yield np.array(simulator.device.numpy(loop.output("mean", seed=0, first=0)))
 
     return sensor.events(times, rates())

@@ -158,7 +158,7 @@ class _Trials:
 
     def __init__(self, simulator, scene, region, seed):
         sensor, readout = simulator.camera.sensor, simulator.readout
-        self._program, self._seed = simulator.program(scene), seed
+        self._loop, self._seed = simulator.loop(scene), seed
         self._period = (1, 1) if sensor.stacked else readout.output.cfa_indices.shape
         self._region = _check_region(region, readout.output_shape(scene.shape), self._period)
         self.found: dict[float, tuple[float, float]] = {}
@@ -166,14 +166,14 @@ class _Trials:
     def __call__(self, vergence):
         """Return the contrast at a vergence [1/m], with the exposure of the first trial."""
         if vergence not in self.found:
-            simulator = self._program.simulator
+            simulator = self._loop.simulator
             focused = replace(simulator.camera.optics, object_distance=_distance(vergence))
-            program = self._program.update(camera=replace(simulator.camera, optics=focused))
-            exposure = program.exposure
-            raw = program.raw(seed=self._seed, first=len(self.found))
+            loop = self._loop.update(camera=replace(simulator.camera, optics=focused))
+            exposure = loop.exposure
+            raw = loop.raw(seed=self._seed, first=len(self.found))
             raw = exposure.split_layers(np.asarray(simulator.device.numpy(raw)))
             # for the next trials
-            program.update(exposure_time=exposure.exposure_time, gain=exposure.gain)
+            loop.update(exposure_time=exposure.exposure_time, gain=exposure.gain)
             # the middle channel
             raw = raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw
             operated = exposure.camera.sensor
@@ -191,7 +191,7 @@ class _Trials:
         (least, error), (most, _) = min(self.found.values()), max(self.found.values())
         if not most - least > max(CERTAIN * error, LEAST_RISE * abs(least), 1e-12):
             raise BadData(
-                f"{self._program.scene.name}: no detail to focus on: contrast {least:.3g} .. {most:.3g}, "
+                f"{self._loop.scene.name}: no detail to focus on: contrast {least:.3g} .. {most:.3g}, "
                 f"standard error {error:.2g}; choose a region with an edge or texture, or more light"
             )
 

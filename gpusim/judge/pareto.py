@@ -120,18 +120,18 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
 
 def _frames(simulator, scene, seconds):
     """Return the median time [ms] for copies of a scene, the mean electrons, and the plan."""
-    program = simulator.program(scene, seconds)
+    loop = simulator.loop(scene, seconds)
     times: list[float] = []
     stop = time.perf_counter() + SECONDS
     while len(times) < REPEATS + 1 or (time.perf_counter() < stop and len(times) < 50):
         copied = scene.content.with_samples(lambda array: np.array(array))
-        program.update(scene=replace(scene, content=copied))
-        exposure = program.exposure
+        loop.update(scene=replace(scene, content=copied))
+        exposure = loop.exposure
         times.append(sum(ms for stage, ms in exposure.ms.items() if stage not in LATER))
     return (
         float(np.median(times[1:])),
         np.array(simulator.device.numpy(exposure.mean)),
-        program.plan,
+        loop.plan,
     )
 
 

@@ -90,7 +90,7 @@ class Speeds:
 
         with recording(tape if self.device.is_gpu else None):
             run()  # builds the kernels
-        # as in the frames of a program, which copy no small arrays again
+        # as in the frames of a loop, which copy no small arrays again
         if self.device.is_gpu and tape.is_replayable:
             run = tape.replay
         warm = time.perf_counter() + SECONDS / 4

@@ -12,30 +12,30 @@ from gpusim.domain.foreign import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.pipeline.cache import Cache, same
+from gpusim.pipeline.loop import Loop, SharedOptics, checked_output
 from gpusim.pipeline.planning import plan_inputs
-from gpusim.pipeline.program import Program, SharedOptics, checked_output
 from gpusim.planner.plan import Plan
 
 if TYPE_CHECKING:
     from gpusim.pipeline.simulator import Simulator
 
-MOST = 2**16  # items; each has a program
+MOST = 2**16  # items; each has a loop
 
 
 class Batch:
     """A simulator's frames, `count` in each call, in one device array.
 
-    Each item is the frame of a `Program`, so results are reused from call to call. Results that items share, for
+    Each item is the frame of a `Loop`, so results are reused from call to call. Results that items share, for
     example a scene's blur, are computed once. The device measures each scene that the plan was not made for; the next
     call checks these measurements.
 
     Args:
         simulator: The Simulator.
         count: Number of items.
-        output: A key of `gpusim.pipeline.program.OUTPUTS`.
+        output: A key of `gpusim.pipeline.loop.OUTPUTS`.
         planned_for: Scene whose plan is used for all scenes of its kind that it fits, in any order of calls. Other
             scenes get their own plans. None reuses plans of earlier scenes.
-        plan: Plan for all frames, see `Program`.
+        plan: Plan for all frames, see `Loop`.
 
     Attributes:
         plans: Plans of the items of the last call.
@@ -56,7 +56,7 @@ class Batch:
         self.output = checked_output(output)
         self.count = checked_count("count of a batch", count, 1, MOST)
         self._simulator, self._cache = simulator, Cache(simulator.device)
-        self._items: list[Program | None] = [None] * self.count
+        self._items: list[Loop | None] = [None] * self.count
         self._planned_for, self._plan = None if plan is not None else planned_for, plan
         self.plans: list[Plan] = []
 
@@ -123,26 +123,26 @@ class Batch:
         """Return a frame of each scene with its camera, exposure time, gain, seed and number."""
         device, frames, plans = self._simulator.device, [], []
         for item, (scene, camera, seconds, gain, seed, number) in enumerate(rows):
-            program = self._program(item, scene, camera)
-            program.update(scene=scene, exposure_time=seconds, gain=gain)
+            loop = self._loop(item, scene, camera)
+            loop.update(scene=scene, exposure_time=seconds, gain=gain)
             if not item:  # the items' arrays and the memory of one frame
-                plan = program.plan
+                plan = loop.plan
                 needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
                 if needed > device.memory:
                     size = "x".join(map(str, scene.shape[::-1]))
                     what = f"a batch of {self.count} frames of {size}"
                     raise DoesNotFit(what, needed, device.memory, device.name)
-            frames.append(program.output(self.output, seed=seed, first=number))
-            plans.append(program.plan)
+            frames.append(loop.output(self.output, seed=seed, first=number))
+            plans.append(loop.plan)
         checked = rows if self._planned_for is not None else ()
         for item, (scene, camera, seconds, gain, seed, number) in enumerate(checked):
             self._items[item].judge()
             if self._items[item].before.plan is None:
-                # the plan does not fit: make the frame with a new program, for this call only
+                # the plan does not fit: make the frame with a new loop, for this call only
                 self._items[item] = None
-                program = Program(self._simulator.apart(camera, Cache()), scene, seconds, gain)
-                frames[item] = program.output(self.output, seed=seed, first=number)
-                plans[item] = program.plan
+                loop = Loop(self._simulator.apart(camera, Cache()), scene, seconds, gain)
+                frames[item] = loop.output(self.output, seed=seed, first=number)
+                plans[item] = loop.plan
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
             raise BadData(
@@ -153,34 +153,34 @@ class Batch:
         return self._cache("frames", stack_frames, *frames, device=device)
 
     def judge(self) -> None:
-        """Wait for the device's measurements of the scenes, see `Program.judge`.
+        """Wait for the device's measurements of the scenes, see `Loop.judge`.
 
         Each call does this for the call before. Raises BadData if a scene has light that is not finite.
         """
-        for program in self._items:
-            if program is not None:
-                program.judge()
+        for loop in self._items:
+            if loop is not None:
+                loop.judge()
 
-    def _program(self, item, scene, camera):
-        """Return the program of an item. It shares the optical results of items with the same plan."""
-        program = self._items[item]
-        if program is not None and program.simulator.camera is camera:
-            return program
+    def _loop(self, item, scene, camera):
+        """Return the loop of an item. It shares the optical results of items with the same plan."""
+        loop = self._items[item]
+        if loop is not None and loop.simulator.camera is camera:
+            return loop
         tolerance = self._simulator.tolerance
         by = plan_inputs(checked_camera(camera), tolerance)
 
         def has_same_plan(other):
             return same(plan_inputs(other.simulator.camera, tolerance), by)
 
-        if program is not None:
-            if has_same_plan(program):
-                return program.update(camera=camera)
-            program.judge()  # its last call
-        in_use = [other for other in self._items if other is not None and other is not program]
+        if loop is not None:
+            if has_same_plan(loop):
+                return loop.update(camera=camera)
+            loop.judge()  # its last call
+        in_use = [other for other in self._items if other is not None and other is not loop]
         twin = next(filter(has_same_plan, in_use), None)
         tables = twin.simulator.tables if twin else Cache() if in_use else self._simulator.tables
         simulator = self._simulator.apart(camera, tables)
-        program = self._items[item] = Program(
+        loop = self._items[item] = Loop(
             simulator,
             self._planned_for or scene,
             before=twin.before
@@ -189,8 +189,8 @@ class Batch:
             plan=self._plan,
         )
         if self._planned_for is not None:
-            program.plan  # noqa: B018  makes the plan for all later scenes
-        return program
+            loop.plan  # noqa: B018  makes the plan for all later scenes
+        return loop
 
 
 def stack_frames(*frames, device) -> Any:
@@ -203,7 +203,7 @@ def bytes_of_item(plan: Plan, output: str) -> int:
 
     Args:
         plan: Plan of the item.
-        output: A key of `gpusim.pipeline.program.OUTPUTS`.
+        output: A key of `gpusim.pipeline.loop.OUTPUTS`.
 
     Returns:
         The memory [byte].

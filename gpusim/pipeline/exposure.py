@@ -164,7 +164,7 @@ class Exposure:
         shading: Gains of the shading correction at its nodes, if the camera uses them.
         ms: Milliseconds per stage.
         wall_ms: Milliseconds in all, planning included.
-        is_rewritten: True if a program will write to these arrays again.
+        is_rewritten: True if a loop will write to these arrays again.
     """
 
     plan: Plan
@@ -403,7 +403,7 @@ def make_frame(
     error: Error | None = None,
     is_timed: bool = True,
 ) -> Frame:
-    """Return one picture of an exposure. Its parts are computed lazily unless a program rewrites the arrays.
+    """Return one picture of an exposure. Its parts are computed lazily unless a loop rewrites the arrays.
 
     Args:
         exposure: The exposure.

@@ -21,7 +21,7 @@ KINDS = 16  # number of kinds of scenes that are remembered
 
 
 class Probing:
-    """The probes of programs that share a plan.
+    """The probes of loops that share a plan.
 
     A miss sets the minimum number of planes for scenes of its kind. It is remembered until a camera needs other plans,
     or until KINDS other kinds of scenes have missed.

@@ -20,8 +20,8 @@ from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.exposure import Exposure, exposure_steps
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.imaging import Imaging
+from gpusim.pipeline.loop import Loop
 from gpusim.pipeline.planning import checked_reach, make_plan
-from gpusim.pipeline.program import Program
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.step import Step
 from gpusim.pipeline.stream import Stream
@@ -148,7 +148,7 @@ class Simulator:
 
         Args:
             count: Number of frames in a call.
-            output: A key of `gpusim.pipeline.program.OUTPUTS`.
+            output: A key of `gpusim.pipeline.loop.OUTPUTS`.
             planned_for: Scene whose plan is used for all scenes of its kind that it fits.
             plan: Plan for all frames.
 
@@ -157,15 +157,15 @@ class Simulator:
         """
         return Batch(self, count, output, planned_for, plan)
 
-    def program(
+    def loop(
         self,
         scene: Scene,
         exposure_time: float | None = None,
         gain: float = 1.0,
         meters_late: bool = False,
         plan: Plan | None = None,
-    ) -> Program:
-        """Return a Program: frames of a scene that reuse results that a change does not affect.
+    ) -> Loop:
+        """Return a Loop: frames of a scene that reuse results that a change does not affect.
 
         Args:
             scene: The scene.
@@ -175,9 +175,9 @@ class Simulator:
             plan: Plan for every frame, instead of one for the scene.
 
         Returns:
-            The program, see `gpusim.pipeline.program.Program`.
+            The loop, see `gpusim.pipeline.loop.Loop`.
         """
-        return Program(self, scene, exposure_time, gain, meters_late, plan=plan)
+        return Loop(self, scene, exposure_time, gain, meters_late, plan=plan)
 
     def stream(
         self,
@@ -194,11 +194,11 @@ class Simulator:
         """Return an iterator over one frame of each scene. The next frame overwrites the array.
 
         The next scene is uploaded while this one is computed. A scene's arrays may be rewritten when the iterator
-        requests the scene after the next. One plan is used as long as it fits the scenes, see `Program`.
+        requests the scene after the next. One plan is used as long as it fits the scenes, see `Loop`.
 
         Args:
             scenes: The scenes.
-            output: A key of `gpusim.pipeline.program.OUTPUTS`, for example "codes" or "raw".
+            output: A key of `gpusim.pipeline.loop.OUTPUTS`, for example "codes" or "raw".
             seed: Seed of the noise.
             first: Number of the first frame.
             exposure_time: Exposure time [s]; None uses the camera's, see `expose`.
@@ -362,6 +362,6 @@ class Simulator:
         Returns:
             The exposure.
         """
-        program = self.program(scene, exposure_time, gain, plan=plan)
-        exposure = program.exposure
-        return replace(exposure, plan=program.scene_plan, is_rewritten=False)
+        loop = self.loop(scene, exposure_time, gain, plan=plan)
+        exposure = loop.exposure
+        return replace(exposure, plan=loop.scene_plan, is_rewritten=False)

@@ -9,7 +9,7 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.foreign import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.pipeline.program import checked_output
+from gpusim.pipeline.loop import checked_output
 from gpusim.planner.plan import Plan
 
 if TYPE_CHECKING:
@@ -24,11 +24,11 @@ class Stream(Iterator):
     Args:
         simulator: The Simulator.
         scenes: The scenes.
-        output: A key of `gpusim.pipeline.program.OUTPUTS`.
+        output: A key of `gpusim.pipeline.loop.OUTPUTS`.
         seed: Seed of the noise.
         first: Number of the first frame.
         plan: Plan for all frames.
-        settings: Further arguments of `Program`.
+        settings: Further arguments of `Loop`.
 
     Attributes:
         plan: Plan of the last frame; before the first frame the given one, or None.
@@ -67,19 +67,19 @@ class Stream(Iterator):
         self._frames.close()
 
     def _generate(self, simulator, scenes, output, seed, first):
-        uploaded, program = _upload_scenes(simulator.device, map(checked_scene, scenes)), None
+        uploaded, loop = _upload_scenes(simulator.device, map(checked_scene, scenes)), None
         try:
             for number, scene in enumerate(uploaded, first):
-                program = (
-                    simulator.program(scene, **self._settings)
-                    if program is None
-                    else program.update(scene=scene)
+                loop = (
+                    simulator.loop(scene, **self._settings)
+                    if loop is None
+                    else loop.update(scene=scene)
                 )
-                frame = program.output(output, seed=seed, first=number)
-                self.plan = program.plan
+                frame = loop.output(output, seed=seed, first=number)
+                self.plan = loop.plan
                 yield frame
-            if program is not None:
-                program.judge()
+            if loop is not None:
+                loop.judge()
         finally:
             uploaded.close()
 

@@ -314,7 +314,7 @@ def irradiance_codes(
     height, width = own.aperture
     to_lux = LUMINOUS_EFFICACY * peak / (height * width)
     xyz = to_lux * np.asarray(
-        simulator.device.numpy(simulator.program(scene).output("electrons")), np.float64
+        simulator.device.numpy(simulator.loop(scene).output("electrons")), np.float64
     )
     if scene.light_is_known:
         white = to_lux * electrons_per_content(scene, plain).sum(1)

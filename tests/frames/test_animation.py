@@ -97,17 +97,13 @@ def test_motion_blur_is_that_of_many_instants(device):
     exposure = gs.expose_motion(simulator, animation, motion, seconds, start)
     rows = np.arange(60)
     whole = seconds + 1e-4 * rows[-1]
-    program, total, opened = None, 0.0, np.zeros(60)
+    loop, total, opened = None, 0.0, np.zeros(60)
     for time in start + (np.arange(200) + 0.5) * whole / 200:
         view = animation.at(time).viewed(motion.at(time))
-        program = (
-            program.update(scene=view)
-            if program
-            else simulator.program(view, exposure_time=seconds)
-        )
+        loop = loop.update(scene=view) if loop else simulator.loop(view, exposure_time=seconds)
         is_open = (time >= start + rows * 1e-4) & (time < start + rows * 1e-4 + seconds)
         total = total + is_open[:, None] * np.array(
-            simulator.device.numpy(program.exposure.mean), np.float64
+            simulator.device.numpy(loop.exposure.mean), np.float64
         )
         opened += is_open
     truth = total / opened[:, None]

@@ -38,11 +38,11 @@ from gpusim.planner.facts import Facts
 def test_what_the_api_gives_is_an_array_to_others(device):
     simulator = gs.Simulator(CAMERA, device=device)
     shown, device = scene(cube()), simulator.device
-    exposure, program = simulator.expose(shown), simulator.program(shown)
+    exposure, loop = simulator.expose(shown), simulator.loop(shown)
     draws = exposure.raw(frames=3)
     for found, shape in (
-        (program.raw(), SHAPE),
-        (program.codes(), (*SHAPE, 3)),
+        (loop.raw(), SHAPE),
+        (loop.codes(), (*SHAPE, 3)),
         (exposure.raw(), SHAPE),
         (draws, (3, *SHAPE)),
         (exposure.codes(exposure.raw()), (*SHAPE, 3)),
@@ -252,15 +252,15 @@ def test_a_library_says_why_it_refuses():
     ids=["dlpack", "tensor", "array", "warp", "opencl"],
 )
 def test_scenes_of_foreign_samples(device, of):
-    """The frame is that of the same values in NumPy, bit for bit: programs, streams, scenes with a margin."""
+    """The frame is that of the same values in NumPy, bit for bit: loops, streams, scenes with a margin."""
     first, second = aligned(cube(1)), aligned(cube(2))
     simulator = gs.Simulator(CAMERA, device=device)
     device = simulator.device
-    program = simulator.program(scene(of(first)))
+    loop = simulator.loop(scene(of(first)))
     for values in (first, second):
         wanted = gs.Simulator(CAMERA, device=device)(scene(values), seed=3)
         shown = scene(of(values))
-        same_bits(device, program.update(scene=shown).codes(seed=3), wanted.rgb)
+        same_bits(device, loop.update(scene=shown).codes(seed=3), wanted.rgb)
         same_bits(device, next(simulator.stream([shown], "raw", seed=3)), wanted.raw)
         np.testing.assert_array_equal(
             np.asarray(simulator.expose(shown).mean, np.float32), wanted.mean
@@ -328,11 +328,11 @@ def test_own_arrays_of_another_type_or_layout(device):
 def test_the_values_of_a_scene_are_those_of_its_memory(of):
     """A scene is what it was while it is one object; a new one of the same memory has what is there now."""
     values = aligned(cube())
-    program = gs.Simulator(CAMERA, device="opencl").program(scene(of(values)))
-    before = np.array(program.raw())
+    loop = gs.Simulator(CAMERA, device="opencl").loop(scene(of(values)))
+    before = np.array(loop.raw())
     values *= np.float32(0.5)
-    np.testing.assert_array_equal(np.asarray(program.raw()), before)
-    again = program.update(scene=scene(of(values))).raw()
+    np.testing.assert_array_equal(np.asarray(loop.raw()), before)
+    again = loop.update(scene=scene(of(values))).raw()
     np.testing.assert_array_equal(
         np.asarray(again), gs.Simulator(CAMERA, device="opencl")(scene(values.copy())).raw
     )
@@ -525,8 +525,8 @@ def test_work_is_in_turn_with_a_callers_stream(device="warp:cuda:0"):
     simulator = gs.Simulator(gs.open_camera("phone"), device=device, tolerance=1e-3)
     cube, late = torch.zeros(bands.shape, device="cuda"), torch.from_numpy(bands).cuda()
     scene = replace(picture, content=gs.Cube(picture.wavelengths, cube))
-    program = simulator.program(replace(picture, content=gs.Cube(picture.wavelengths, late)), 0.01)
-    wanted = np.array(simulator.device.numpy(program.raw(seed=1)))
+    loop = simulator.loop(replace(picture, content=gs.Cube(picture.wavelengths, late)), 0.01)
+    wanted = np.array(simulator.device.numpy(loop.raw(seed=1)))
     busy = torch.randn(4096, 4096, device="cuda")
     torch.cuda.synchronize()
     for stream in (torch.cuda.Stream(), torch.cuda.default_stream()):
@@ -537,7 +537,7 @@ def test_work_is_in_turn_with_a_callers_stream(device="warp:cuda:0"):
                 busy = torch.tanh(busy @ busy)
             cube.copy_(late)
             with simulator.device.on_stream(stream):
-                raw = program.update(scene=replace(scene, name=str(stream))).raw(seed=1)
+                raw = loop.update(scene=replace(scene, name=str(stream))).raw(seed=1)
             found = torch.from_dlpack(raw).clone().view(torch.int16)
         stream.synchronize()
         np.testing.assert_array_equal(found.cpu().numpy().view(np.uint16), wanted)

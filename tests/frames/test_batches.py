@@ -1,4 +1,4 @@
-"""Items of a batch are the frames of programs of their own; what they have in common is computed once."""
+"""Items of a batch are the frames of loops of their own; what they have in common is computed once."""
 
 from dataclasses import replace
 
@@ -27,9 +27,9 @@ def host(device, array):
 def test_items_of_several_scenes(device, output):
     """Cubes in a known light have one operator, so that every scene's own plan is the batch's."""
     simulator, scenes = gs.Simulator(PHONE, device=device, tolerance=4e-4), cubes()
-    batch, programs = (
+    batch, loops = (
         simulator.batch(COUNT, output),
-        [simulator.program(scene, 0.01) for scene in scenes],
+        [simulator.loop(scene, 0.01) for scene in scenes],
     )
     for first in (0, 5, 9):
         order = [(first + item) % COUNT for item in range(COUNT)]
@@ -38,7 +38,7 @@ def test_items_of_several_scenes(device, output):
             batch([scenes[n] for n in order], seed=3, first=first, exposure_time=0.01),
         )
         for item, n in enumerate(order):
-            own = programs[n].output(output, seed=3, first=first + item)
+            own = loops[n].output(output, seed=3, first=first + item)
             np.testing.assert_array_equal(found[item], host(simulator.device, own))
 
 
@@ -84,7 +84,7 @@ def test_items_of_several_settings(device, what):
             ),
         )
         for item, camera in enumerate(cameras):
-            own = gs.Simulator(camera, device=device, tolerance=4e-4).program(
+            own = gs.Simulator(camera, device=device, tolerance=4e-4).loop(
                 scene, times[item], gains[item]
             )
             np.testing.assert_array_equal(
@@ -127,8 +127,8 @@ def test_common_steps_run_once_and_the_host_reads_nothing(device):
     assert "sensor.noise" in drawn
     assert not {"spectral.integrate", *blurs, "sensor.collect", "sensor.chip"} & drawn
     assert batch._cache.host_accesses() == []
-    assert all(program.values.unexpected_host_accesses() == [] for program in batch._items)
-    assert len({id(program.before) for program in batch._items}) == 1
+    assert all(loop.values.unexpected_host_accesses() == [] for loop in batch._items)
+    assert len({id(loop.before) for loop in batch._items}) == 1
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -144,7 +144,7 @@ def test_light_that_is_not_finite_is_named(device):
     with pytest.raises(BadData, match=r"the second: .* NaN or infinite light"):
         batch.judge()
     good = batch(cubes(), exposure_time=0.01, seed=1)
-    own = simulator.program(cubes()[0], 0.01).raw(seed=1)
+    own = simulator.loop(cubes()[0], 0.01).raw(seed=1)
     np.testing.assert_array_equal(host(simulator.device, good)[0], host(simulator.device, own))
 
 
@@ -159,13 +159,13 @@ def good_and_damaged():
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_light_that_is_not_finite_is_refused_again(device):
     good, damaged = good_and_damaged()
-    program = gs.Simulator(PHONE, device=device).program(good, 0.01)
-    program.codes()
-    program.update(scene=damaged)
+    loop = gs.Simulator(PHONE, device=device).loop(good, 0.01)
+    loop.codes()
+    loop.update(scene=damaged)
     for _ in range(3):
         with pytest.raises(BadData, match="the damaged one"):
-            program.codes()
-            program.judge()
+            loop.codes()
+            loop.judge()
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -207,7 +207,7 @@ def test_refuses(monkeypatch):
     with pytest.raises(BadData, match="wanted cameras whose frames have one shape"):
         batch(scenes, camera=[PHONE, binned, PHONE], exposure_time=0.01)
     monkeypatch.setattr(
-        type(simulator.device), "memory", simulator.program(scenes[0]).plan.bytes_needed + 1000
+        type(simulator.device), "memory", simulator.loop(scenes[0]).plan.bytes_needed + 1000
     )
     with pytest.raises(DoesNotFit, match="a batch of 1000 frames of 96x64"):
         simulator.batch(1000, "raw")(scenes[0], exposure_time=0.01)

@@ -34,8 +34,8 @@ TURNS = {  # from, to, of the optics
 }
 
 
-def numpy(program):
-    return np.array(program.simulator.device.numpy(program.exposure.mean), np.float64)
+def numpy(loop):
+    return np.array(loop.simulator.device.numpy(loop.exposure.mean), np.float64)
 
 
 @pytest.mark.parametrize(
@@ -49,21 +49,21 @@ def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     """
     before, after = (camera_with(BASE, optics=turned) for turned in TURNS[name])
     scene = gs.chart(kind, size=(360, 288))
-    program = gs.Simulator(before, device="opencl", tolerance=TOLERANCE).program(scene)
-    old = numpy(program).copy()
-    draft = numpy(program.update(camera=after, drafts=True)).copy()
-    assert program.plan.is_draft and program.plan.verdict is None
-    truth = numpy(gs.Simulator(after, device="opencl").program(scene))
+    loop = gs.Simulator(before, device="opencl", tolerance=TOLERANCE).loop(scene)
+    old = numpy(loop).copy()
+    draft = numpy(loop.update(camera=after, drafts=True)).copy()
+    assert loop.plan.is_draft and loop.plan.verdict is None
+    truth = numpy(gs.Simulator(after, device="opencl").loop(scene))
     wrong, turned = (np.sqrt(np.mean((found - truth) ** 2)) for found in (draft, old))
     assert wrong <= (2 * TOLERANCE * truth.mean() if kind == "deadleaves" else turned / 5)
-    settled = numpy(program.update(camera=after))
-    assert not program.plan.is_draft
+    settled = numpy(loop.update(camera=after))
+    assert not loop.plan.is_draft
     assert np.array_equal(
-        settled, numpy(gs.Simulator(after, device="opencl", tolerance=TOLERANCE).program(scene))
+        settled, numpy(gs.Simulator(after, device="opencl", tolerance=TOLERANCE).loop(scene))
     )
-    again = numpy(program.update(camera=before))
+    again = numpy(loop.update(camera=before))
     assert np.array_equal(
-        again, numpy(gs.Simulator(before, device="opencl", tolerance=TOLERANCE).program(scene))
+        again, numpy(gs.Simulator(before, device="opencl", tolerance=TOLERANCE).loop(scene))
     )
 
 
@@ -79,23 +79,23 @@ def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
 )
 def test_what_has_no_draft_is_planned(change):
     scene = gs.chart("deadleaves", size=(120, 96))
-    program = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).program(scene)
-    program.exposure  # noqa: B018
+    loop = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).loop(scene)
+    loop.exposure  # noqa: B018
     camera = camera_with(BASE, **change)
-    found = numpy(program.update(camera=camera, drafts=True))
-    assert not program.plan.is_draft or not camera.optics.is_symmetric
-    program.update(camera=camera)
+    found = numpy(loop.update(camera=camera, drafts=True))
+    assert not loop.plan.is_draft or not camera.optics.is_symmetric
+    loop.update(camera=camera)
     assert np.array_equal(
-        numpy(program),
-        numpy(gs.Simulator(camera, device="opencl", tolerance=TOLERANCE).program(scene)),
+        numpy(loop),
+        numpy(gs.Simulator(camera, device="opencl", tolerance=TOLERANCE).loop(scene)),
     )
     assert found.shape == scene.shape
 
 
 def test_another_scene_ends_a_draft():
     first, second = (gs.chart("deadleaves", size=(120, 96), seed=seed) for seed in (1, 2))
-    program = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).program(first)
-    program.exposure  # noqa: B018
+    loop = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).loop(first)
+    loop.exposure  # noqa: B018
     turned = replace(BASE, optics=replace(BASE.optics, f_number=2.0))
-    program.update(camera=turned, scene=second, drafts=True)
-    assert not program.plan.is_draft
+    loop.update(camera=turned, scene=second, drafts=True)
+    assert not loop.plan.is_draft

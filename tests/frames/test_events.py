@@ -157,7 +157,7 @@ def test_an_edge_that_passes(device):
         np.log(
             np.array(
                 simulator.device.numpy(
-                    simulator.program(scene.viewed(motion.at(time)), 1.0).output("mean")
+                    simulator.loop(scene.viewed(motion.at(time)), 1.0).output("mean")
                 )
             ).astype(float)
             + sensor.dark

@@ -14,24 +14,24 @@ import gpusim as gs
 from gpusim.backends import open_device
 scene = gs.chart("deadleaves", size=(960, 640))
 simulate = gs.Simulator(gs.open_camera("phone"), device=sys.argv[1])
-program = simulate.program(scene, 0.01)
+loop = simulate.loop(scene, 0.01)
 def work():
     global x
-    x = program.output("irradiance")
+    x = loop.output("irradiance")
 """
 # How it ends -> what is done last, and the status
 ENDS = {
     "plain": ("work()", 0),
     "in a function": (
         "def main():\n    y = gs.Simulator(gs.open_camera('mono'), device=sys.argv[1])\n"
-        "    z = y.program(scene, .01)\n    a = z.raw(), z.output('irradiance')\nmain()",
+        "    z = y.loop(scene, .01)\n    a = z.raw(), z.output('irradiance')\nmain()",
         0,
     ),
     "exit": ("work()\nsys.exit(3)", 3),
     "an error": ("work()\nraise ValueError('no')", 1),
     "a thread": ("threading.Thread(target=work).start()", 0),
     "a thread that nobody waits for": (
-        "other = simulate.program(scene, 0.02)\ndef on():\n    while True:\n"
+        "other = simulate.loop(scene, 0.02)\ndef on():\n    while True:\n"
         "        other.output('irradiance')\n        other.raw()\n"
         "threading.Thread(target=on, daemon=True).start()\nwork()",
         0,
@@ -46,7 +46,7 @@ ENDS = {
         "from gpusim.backends.opencl import OpenCLDevice\n"
         "device = open_device(sys.argv[1])\nis_opencl = device.kind == 'opencl'\n"
         "other = OpenCLDevice(device.cl_device, 'opencl:7') if is_opencl else device\n"
-        "gs.Simulator(gs.open_camera('phone'), device=other).program(scene, .01).raw()\n"
+        "gs.Simulator(gs.open_camera('phone'), device=other).loop(scene, .01).raw()\n"
         "del other",
         0,
     ),

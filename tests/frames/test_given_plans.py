@@ -69,7 +69,7 @@ def paths(simulator, scenes, plan):
         return np.array(simulator.device.numpy(array))
 
     numbered = list(enumerate(scenes))
-    program = simulator.program(scenes[0], plan=plan)
+    loop = simulator.loop(scenes[0], plan=plan)
     stream = simulator.stream(scenes, "raw", seed=SEED, meters_late=False, plan=plan)
     batch = simulator.batch(len(scenes), "raw", plan=plan)
     found = {
@@ -84,11 +84,9 @@ def paths(simulator, scenes, plan):
             for n, scene in numbered
         ],
         "program": [
-            host(program.update(scene=scene).raw(seed=SEED, first=n)) for n, scene in numbered
+            host(loop.update(scene=scene).raw(seed=SEED, first=n)) for n, scene in numbered
         ],
-        "framed": [
-            program.update(scene=scene).frame(seed=SEED, first=n).raw for n, scene in numbered
-        ],
+        "framed": [loop.update(scene=scene).frame(seed=SEED, first=n).raw for n, scene in numbered],
         "stream": [host(raw) for raw in stream],
         "batch": list(host(batch(scenes, seed=SEED))),
         "burst": [
@@ -100,7 +98,7 @@ def paths(simulator, scenes, plan):
             for n, scene in numbered
         ],
     }
-    assert stream.plan.name == program.plan.name == plan.name
+    assert stream.plan.name == loop.plan.name == plan.name
     assert [one.name for one in batch.plans] == [plan.name] * len(scenes)
     return found
 
@@ -146,11 +144,11 @@ def test_batches_of_pictures(device):
     """The plan of any picture repeats them all, however they come together."""
     values = np.random.default_rng(3).random((COUNT, 3, 32, 48)).astype(np.float32)
     asked = {"device": device, "tolerance": "video", "output": "raw"}
-    first = gs.Batch(PHONE, **asked)
+    first = gs.PictureBatch(PHONE, **asked)
     single = first(values, seed=SEED)
     assert len(first.plans) == COUNT
     plan = first.plans[1]
-    batch = gs.Batch(PHONE, plan=plan, **asked)
+    batch = gs.PictureBatch(PHONE, plan=plan, **asked)
     together = batch(values, seed=SEED)
     assert [one.name for one in batch.plans] == [plan.name] * COUNT
     np.testing.assert_array_equal(together[1], single[1])
@@ -198,9 +196,9 @@ def test_a_plan_that_does_not_do_is_not_met():
     assert plan.verdict.is_met and plan.mix is None
     report = simulator(steep, verify=True, plan=plan).report
     assert report.verdict.state == "not met" and not report.meets_tolerance, str(report)
-    program = simulator.program(calm, plan=plan)
-    assert program.frame().report.verdict.is_met
-    assert program.update(scene=steep).frame().report.verdict.state == "not met"
+    loop = simulator.loop(calm, plan=plan)
+    assert loop.frame().report.verdict.is_met
+    assert loop.update(scene=steep).frame().report.verdict.state == "not met"
     strict = gs.Simulator(PHONE, device="numpy", tolerance="video", strict=True)
     for way in (
         lambda: strict(steep, plan=plan),
@@ -261,7 +259,7 @@ def test_other_scenes_and_cameras_are_refused(what):
         lambda: simulator(scene, plan=plan),
         lambda: list(simulator([scene], plan=plan)),
         lambda: simulator.expose(scene, plan=plan),
-        lambda: simulator.program(scene, plan=plan),
+        lambda: simulator.loop(scene, plan=plan),
         lambda: list(simulator.stream([scene], plan=plan)),
         lambda: simulator.batch(1, plan=plan)(scene),
     ]
@@ -277,10 +275,10 @@ def test_other_plans_are_refused():
         simulator(scene, plan="video")
     with pytest.raises(BadData, match="a draft"):
         simulator(scene, plan=replace(simulator.plan(scene), is_draft=True))
-    program = simulator.program(scene, plan=simulator.plan(scene))
+    loop = simulator.loop(scene, plan=simulator.plan(scene))
     with pytest.raises(BadData, match="f_number"):
-        program.update(camera=camera_with(optics={"f_number": 4.0}))
-    assert program.frame().report.verdict.is_met  # it is as it was
+        loop.update(camera=camera_with(optics={"f_number": 4.0}))
+    assert loop.frame().report.verdict.is_met  # it is as it was
 
 
 @pytest.mark.parametrize(

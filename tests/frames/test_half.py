@@ -30,7 +30,7 @@ def test_a_cube_of_float16_is_that_of_its_values(device, tolerance, border):
     ]
     np.testing.assert_array_equal(streamed[0], found.raw)
     if tolerance is None:
-        assert simulator.program(half).plan.table is None  # every wavelength by itself
+        assert simulator.loop(half).plan.table is None  # every wavelength by itself
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)

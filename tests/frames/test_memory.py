@@ -84,14 +84,14 @@ PAIRS = [
 
 @pytest.mark.parametrize("tolerance", [None, 4e-4])
 @pytest.mark.parametrize(("camera", "form"), PAIRS)
-def test_a_programs_memory_is_predicted(camera, tolerance, form):
+def test_a_loops_memory_is_predicted(camera, tolerance, form):
     """Three frames of two scenes, on a device whose driver is asked for all of it; a tenth, and 100 kB of constants."""
     device, scene = apart(), scene_of(form)
     simulator = gs.Simulator(CAMERAS[camera], device=device, tolerance=tolerance)
-    program = simulator.program(scene, 0.01)
-    needed, taken = program.plan.bytes_needed, counting(device)
+    loop = simulator.loop(scene, 0.01)
+    needed, taken = loop.plan.bytes_needed, counting(device)
     for seed, name in enumerate(("first", "first", "second")):
-        program.update(scene=replace(scene, name=name)).frame(seed=seed)
+        loop.update(scene=replace(scene, name=name)).frame(seed=seed)
     assert abs(needed - sum(taken)) < 0.1 * sum(taken) + 1e5
 
 
@@ -149,15 +149,15 @@ def refusing(code):
 def test_memory_that_a_driver_refuses(code):
     """One line: for what, how much, what the device has, what to do; the program goes on when there is some.
 
-    Of a new program the scene's array is refused, or its first kernel; of one that goes on a kernel that was noted.
+    Of a new loop the scene's array is refused, or its first kernel; of one that goes on a kernel that was noted.
     """
     device, refuse = refusing(code)
     simulator = gs.Simulator(PHONE, device=device, tolerance=4e-4)
-    program = simulator.program(scene_of(np.float32), 0.01)
-    wanted = [np.array(device.numpy(program.raw(seed=seed))) for seed in (1, 2)]
-    new = simulator.program(scene_of(np.float32), 0.01)
+    loop = simulator.loop(scene_of(np.float32), 0.01)
+    wanted = [np.array(device.numpy(loop.raw(seed=seed))) for seed in (1, 2)]
+    new = simulator.loop(scene_of(np.float32), 0.01)
     first = r"(a kernel of [a-z.]+|a copy of an array|an array of \S+ float32)"
-    for again, what in ((program, "a kernel of sensor.noise"), (new, first)):
+    for again, what in ((loop, "a kernel of sensor.noise"), (new, first)):
         refuse(True)
         with pytest.raises(
             OutOfMemory, match=MESSAGE.format(rf"{what} \([0-9.e-]+ GiB\)")

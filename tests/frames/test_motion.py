@@ -31,15 +31,11 @@ def brute(simulator, scene, motion, row_time, instants):
     rows = np.arange(scene.shape[0])
     whole = SECONDS + row_time * rows[-1]
     times = START + (np.arange(instants) + 0.5) * (whole / instants)
-    program, total, opened = None, 0.0, np.zeros(len(rows))
+    loop, total, opened = None, 0.0, np.zeros(len(rows))
     for time in times:
         view = scene.viewed(motion.at(time))
-        program = (
-            program.update(scene=view)
-            if program
-            else simulator.program(view, exposure_time=SECONDS)
-        )
-        mean = np.array(simulator.device.numpy(program.exposure.mean), np.float64)
+        loop = loop.update(scene=view) if loop else simulator.loop(view, exposure_time=SECONDS)
+        mean = np.array(simulator.device.numpy(loop.exposure.mean), np.float64)
         is_open = (time >= START + rows * row_time) & (time < START + rows * row_time + SECONDS)
         total = total + is_open[:, None] * mean
         opened += is_open

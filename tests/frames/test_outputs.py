@@ -9,7 +9,7 @@ from devices import ALL_KINDS
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, UnknownName
-from gpusim.pipeline.program import OUTPUTS
+from gpusim.pipeline.loop import OUTPUTS
 
 SIZE = (72, 56)
 CAMERA = gs.open_camera("phone")
@@ -17,8 +17,8 @@ SECONDS = 0.01
 
 
 def given(simulator, scene, name):
-    program = simulator.program(scene, SECONDS)
-    return np.array(simulator.device.numpy(program.output(name, seed=1, first=2)), np.float64)
+    loop = simulator.loop(scene, SECONDS)
+    return np.array(simulator.device.numpy(loop.output(name, seed=1, first=2)), np.float64)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -82,8 +82,8 @@ def test_the_mosaic_takes_each_pixels_own_channel(device, tolerance, scene):
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_from_raw_on(device):
     simulator, scene = gs.Simulator(CAMERA, device=device), gs.chart("colorchecker", size=SIZE)
-    program = simulator.program(scene, SECONDS)
-    frame = program.frame(seed=1, first=2)
+    loop = simulator.loop(scene, SECONDS)
+    frame = loop.frame(seed=1, first=2)
     planes = np.moveaxis(frame.linear, -1, 0)
     for name, wanted in (
         ("raw", frame.raw),
@@ -108,16 +108,14 @@ def test_from_raw_on(device):
 
 
 def test_an_output_runs_what_it_needs_and_no_more():
-    program = gs.Simulator(CAMERA, device="opencl").program(
-        gs.chart("deadleaves", size=SIZE), SECONDS
-    )
-    program.output("electrons")
-    program.output("raw")
-    with program.simulator.device.timed() as ms:
-        program.output("electrons")
+    loop = gs.Simulator(CAMERA, device="opencl").loop(gs.chart("deadleaves", size=SIZE), SECONDS)
+    loop.output("electrons")
+    loop.output("raw")
+    with loop.simulator.device.timed() as ms:
+        loop.output("electrons")
     assert not ms
-    with program.simulator.device.timed() as ms:
-        program.output("raw", first=1)
+    with loop.simulator.device.timed() as ms:
+        loop.output("raw", first=1)
     assert set(ms) == {"sensor.noise"}
 
 
@@ -144,14 +142,12 @@ def test_a_stream_gives_any_of_them():
 
 
 def test_refuses():
-    program = gs.Simulator(CAMERA, device="numpy").program(
-        gs.chart("deadleaves", size=SIZE), SECONDS
-    )
+    loop = gs.Simulator(CAMERA, device="numpy").loop(gs.chart("deadleaves", size=SIZE), SECONDS)
     with pytest.raises(UnknownName, match="output"):
-        program.output("film")
+        loop.output("film")
     varying = camera_with(optics={"lateral_color": 1e-3})
     assert varying.optics.varies
     with pytest.raises(BadData, match="varies over the field"):
-        gs.Simulator(varying, device="numpy").program(
+        gs.Simulator(varying, device="numpy").loop(
             gs.chart("deadleaves", size=SIZE), SECONDS
         ).output("irradiance")

@@ -131,10 +131,10 @@ def test_the_error_of_the_next_picture_is_measured_as_that_of_planes(device):
     first, second = gs.picture(frame(1)), gs.picture(frame(2))
     errors = []
     for one, other in ((first, second), (decoded(first), decoded(second))):
-        program = simulator.program(one, 0.01)
-        own = program.frame()
-        plan, found = program.plan, program.update(scene=other).frame()
-        assert program.plan is plan and plan.watch is not None
+        loop = simulator.loop(one, 0.01)
+        own = loop.frame()
+        plan, found = loop.plan, loop.update(scene=other).frame()
+        assert loop.plan is plan and plan.watch is not None
         assert any("planned for picture" in note for note in found.report.notes)
         errors.append(
             (own.report.account.bounds["planes"].rms, found.report.account.bounds["planes"].rms)
@@ -168,15 +168,13 @@ def test_a_highlight_is_found_in_a_later_picture(device):
     simulator, codes = gs.Simulator(METERED, device=device), frame(2) // 16
     codes[20, 30] = 255
     scene = gs.picture(codes)
-    program = simulator.program(gs.picture(frame(1)), 0.01)
-    program.raw()
-    program.update(scene=scene).raw()
-    assert program.plan.highlights is None
-    program.judge()
-    assert len(program.plan.highlights.places) == 1
-    same_bits(
-        simulator.device, program.raw(seed=4), simulator.program(decoded(scene), 0.01).raw(seed=4)
-    )
+    loop = simulator.loop(gs.picture(frame(1)), 0.01)
+    loop.raw()
+    loop.update(scene=scene).raw()
+    assert loop.plan.highlights is None
+    loop.judge()
+    assert len(loop.plan.highlights.places) == 1
+    same_bits(simulator.device, loop.raw(seed=4), simulator.loop(decoded(scene), 0.01).raw(seed=4))
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -184,9 +182,9 @@ def test_pictures_are_decoded_to_one_place(device, monkeypatch):
     """From the second on, the steps behind are started again without their host code, as for all scenes of a loop."""
     calls, inner = [], imaging.planes
     monkeypatch.setattr(imaging, "planes", lambda *given: calls.append(number) or inner(*given))
-    program = gs.Simulator(METERED, device=device).program(gs.picture(frame()), 0.01)
+    loop = gs.Simulator(METERED, device=device).loop(gs.picture(frame()), 0.01)
     for number in range(5):
-        program.update(scene=gs.picture(frame(number))).raw()
+        loop.update(scene=gs.picture(frame(number))).raw()
     assert calls == [0]
 
 
@@ -207,7 +205,7 @@ def test_a_stream_sends_bytes():
         for number, kind in enumerate(kinds)
     ]
     for number, raw in enumerate(simulator.stream(scenes, "raw", seed=5, exposure_time=0.01)):
-        wanted = simulator.program(decoded(scenes[number]), 0.01)
+        wanted = simulator.loop(decoded(scenes[number]), 0.01)
         np.testing.assert_array_equal(np.asarray(raw), np.asarray(wanted.raw(seed=5, first=number)))
     assert sent == [(3 * np.dtype(kind).itemsize * SHAPE[0] * SHAPE[1], kind) for kind in kinds]
 
@@ -238,7 +236,7 @@ def test_layers_and_depth_of_pictures():
     plain = replace(
         decoded(back), depth=scene.depth, layers=(gs.Layer(decoded(front).content, alpha, 0.5),)
     )
-    found, wanted = (simulator.program(shown, 0.01) for shown in (scene, plain))
+    found, wanted = (simulator.loop(shown, 0.01) for shown in (scene, plain))
     same_bits(simulator.device, found.raw(), wanted.raw())
     np.testing.assert_array_equal(ideal(scene), ideal(plain))
 
@@ -247,7 +245,7 @@ def test_layers_and_depth_of_pictures():
 def test_outputs_of_a_picture(name):
     simulator, scene = gs.Simulator(METERED, device="opencl"), gs.picture(frame()[:16, :24])
     found, wanted = (
-        np.array(simulator.program(shown, 0.01).output(name)) for shown in (scene, decoded(scene))
+        np.array(simulator.loop(shown, 0.01).output(name)) for shown in (scene, decoded(scene))
     )
     np.testing.assert_array_equal(found, wanted)
 
@@ -280,7 +278,7 @@ def test_a_picture_is_the_photograph_of_its_codes(tmp_path):
 def test_a_camera_looks_at_its_own_pictures():
     """Display codes of a device, on a screen, seen by a camera: they stay on the device."""
     simulator, screen = gs.Simulator(METERED, device="warp:cpu"), gs.open_display("oled-sony")
-    codes = simulator.program(gs.picture(frame())).codes(seed=1)
+    codes = simulator.loop(gs.picture(frame())).codes(seed=1)
     scene = gs.display_picture(codes, screen)
     assert scene.content.codes is codes
     same_bits(

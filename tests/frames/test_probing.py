@@ -52,8 +52,8 @@ def made(device, tolerance=TOLERANCE, camera=CAMERA):
     return gs.Simulator(camera, device=device, tolerance=tolerance)
 
 
-def errs(program):
-    return true_error(program.simulator, program.scene, program.exposure)
+def errs(loop):
+    return true_error(loop.simulator, loop.scene, loop.exposure)
 
 
 @pytest.fixture
@@ -66,74 +66,74 @@ def unprobed(monkeypatch):
 def test_an_error_at_a_few_pixels_is_silent_without_probes(device, unprobed):
     """As large in the root mean square as that of the plan's own scene, and beyond the tolerance in sigmas."""
     unprobed()
-    program = made(device).program(even(), SECONDS)
-    first, own = program.plan, errs(program)
+    loop = made(device).loop(even(), SECONDS)
+    first, own = loop.plan, errs(loop)
     assert first.verdict.is_met
-    error = errs(program.update(scene=local()))
-    program.judge()
-    assert program.plan is first
+    error = errs(loop.update(scene=local()))
+    loop.judge()
+    assert loop.plan is first
     assert error.rms < 1.1 * own.rms
     assert error.p999_sigma > TOLERANCE.p999_sigma > 2 * own.p999_sigma
-    assert program.frame().report.verdict.is_met  # which it is not
+    assert loop.frame().report.verdict.is_met  # which it is not
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_an_error_at_a_few_pixels_is_found_before_the_frame(device):
-    program = made(device).program(even(), SECONDS)
-    planes = program.plan.count
-    program.raw()
-    assert errs(program.update(scene=local())).p999_sigma < TOLERANCE.p999_sigma
-    assert program.plan.count > planes
-    report = program.frame().report
+    loop = made(device).loop(even(), SECONDS)
+    planes = loop.plan.count
+    loop.raw()
+    assert errs(loop.update(scene=local())).p999_sigma < TOLERANCE.p999_sigma
+    assert loop.plan.count > planes
+    report = loop.frame().report
     assert any(f"probes: {planes} planes would miss: 0.0" in note for note in report.notes)
-    wanted = made(device).program(
-        program.scene, SECONDS
+    wanted = made(device).loop(
+        loop.scene, SECONDS
     )  # at once the plan that the scene would have had
-    np.testing.assert_array_equal(np.array(wanted.frame().mean), np.array(program.frame().mean))
+    np.testing.assert_array_equal(np.array(wanted.frame().mean), np.array(loop.frame().mean))
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_between_probes_the_survey_tells_when(device):
     """A scene that is not due: errors of its rows rise. A report's frame is made anew, a stream's next one is right."""
     for with_report in (True, False):
-        program = made(device).program(even(), SECONDS)
-        program.raw()
+        loop = made(device).loop(even(), SECONDS)
+        loop.raw()
         for number in range(2):
-            program.update(scene=even(f"even {number}")).raw()
-        first = program.plan
-        assert program.before.probing.count == 1
-        program.update(scene=local())
+            loop.update(scene=even(f"even {number}")).raw()
+        first = loop.plan
+        assert loop.before.probing.count == 1
+        loop.update(scene=local())
         if with_report:
-            assert program.frame().report.verdict.is_met
-            assert program.plan.scene is program.scene
+            assert loop.frame().report.verdict.is_met
+            assert loop.plan.scene is loop.scene
         else:
-            program.raw()
-            assert program.plan is first
-            program.update(scene=local("again")).raw()
-        assert program.plan is not first
-        assert errs(program).p999_sigma < TOLERANCE.p999_sigma
+            loop.raw()
+            assert loop.plan is first
+            loop.update(scene=local("again")).raw()
+        assert loop.plan is not first
+        assert errs(loop).p999_sigma < TOLERANCE.p999_sigma
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_miss_is_remembered(device):
     """By scenes that would do with less, after scenes of another kind too; not by a camera that has other plans."""
-    program = made(device).program(even(), SECONDS)
-    few = program.plan.count
-    program.raw()
-    program.update(scene=local()).raw()
-    raised = program.plan
+    loop = made(device).loop(even(), SECONDS)
+    few = loop.plan.count
+    loop.raw()
+    loop.update(scene=local()).raw()
+    raised = loop.plan
     assert raised.count > few
     for number in range(3):
         for scene in (even(f"even {number}"), local(f"local {number}")):
-            program.update(scene=scene).raw()
-            assert program.plan is raised
-    program.update(scene=gs.chart("colorchecker", size=(64, 48))).raw()
-    program.update(scene=even()).raw()
-    assert program.plan.scene is program.scene
-    assert program.plan.count == raised.count
-    program.update(camera=replace(CAMERA, optics=replace(CAMERA.optics, f_number=2.0))).raw()
-    program.update(camera=CAMERA).raw()
-    assert program.plan.count == few
+            loop.update(scene=scene).raw()
+            assert loop.plan is raised
+    loop.update(scene=gs.chart("colorchecker", size=(64, 48))).raw()
+    loop.update(scene=even()).raw()
+    assert loop.plan.scene is loop.scene
+    assert loop.plan.count == raised.count
+    loop.update(camera=replace(CAMERA, optics=replace(CAMERA.optics, f_number=2.0))).raw()
+    loop.update(camera=CAMERA).raw()
+    assert loop.plan.count == few
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -165,18 +165,18 @@ def test_a_plan_without_blur_is_not_kept_for_edges(device):
     """A film that begins with an even frame: whether a scene is probed or surveyed, it is blurred; and ever since."""
     flat = scene_of(np.broadcast_to(MEAN, SPECTRA.shape), "flat")
     for more in (0, 2):
-        program = made(device).program(flat, SECONDS)
-        program.raw()
+        loop = made(device).loop(flat, SECONDS)
+        loop.raw()
         for number in range(more):
-            program.update(scene=replace(flat, name=f"flat {number}")).raw()
-        assert program.plan.mix is None
-        program.update(scene=local()).raw()
+            loop.update(scene=replace(flat, name=f"flat {number}")).raw()
+        assert loop.plan.mix is None
+        loop.update(scene=local()).raw()
         if more:  # not due
-            assert program.plan.mix is None
-            program.judge()
-        assert errs(program).p999_sigma < TOLERANCE.p999_sigma
-        program.update(scene=gs.chart("colorchecker", size=(64, 48))).raw()
-        assert program.update(scene=flat).plan.mix is not None
+            assert loop.plan.mix is None
+            loop.judge()
+        assert errs(loop).p999_sigma < TOLERANCE.p999_sigma
+        loop.update(scene=gs.chart("colorchecker", size=(64, 48))).raw()
+        assert loop.update(scene=flat).plan.mix is not None
 
 
 def forms():
@@ -199,25 +199,25 @@ def forms():
 def test_probes_tell_the_true_error_of_a_plans_own_planes(scene, tolerance):
     """Of another scene by the plan of this one, upside down: within the safety, and above half of it."""
     simulator = made("opencl", tolerance)
-    program = simulator.program(scene, SECONDS)
-    program.raw()
-    assert program.plan.watch is not None
+    loop = simulator.loop(scene, SECONDS)
+    loop.raw()
+    assert loop.plan.watch is not None
     turned = scene.content.with_samples(lambda array: np.ascontiguousarray(array[..., ::-1, ::-1]))
-    report = program.update(scene=replace(scene, content=turned, name="turned")).frame().report
+    report = loop.update(scene=replace(scene, content=turned, name="turned")).frame().report
     assert any("from this scene" in note for note in report.notes)
-    error, predicted = errs(program), report.account.total
+    error, predicted = errs(loop), report.account.total
     assert 0.5 < SAFETY * predicted.rms / error.rms < SAFETY**2 * 2
     assert error.p999_sigma < SAFETY * predicted.p999_sigma
 
 
 def test_reports_between_probes_say_when_it_was():
     """And scale what was found by what the survey saw since: another contrast."""
-    program = made("opencl").program(even(), SECONDS)
-    program.raw()
-    found = program.update(scene=even("probed")).frame().report
+    loop = made("opencl").loop(even(), SECONDS)
+    loop.raw()
+    found = loop.update(scene=even("probed")).frame().report
     assert any(note == "probes: from this scene" for note in found.notes)
     half = scene_of(MEAN + 0.125 * (SPECTRA - MEAN), "half")
-    later = program.update(scene=half).frame().report
+    later = loop.update(scene=half).frame().report
     assert any(
         "probes: from probed, 1 scene ago, scaled by the survey of this scene" in note
         for note in later.notes
@@ -273,13 +273,13 @@ def test_what_the_border_breaks_raises_no_planes(device):
     """A survey that finds planes a little worse than probes did says nothing where the border errs ten times that."""
     scenes = [scene_of(SPECTRA * gain, f"times {gain}") for gain in np.float32((1, 1.01))]
     hexagon = replace(CAMERA, optics=replace(CAMERA.optics, pupil=Pupil(blades=6)))
-    program = made(device, 1e-6, hexagon).program(scenes[0], SECONDS)
-    first = program.plan
+    loop = made(device, 1e-6, hexagon).loop(scenes[0], SECONDS)
+    first = loop.plan
     assert not first.verdict.is_met and first.verdict.by == "border"
     for number in range(6):
-        program.update(scene=scenes[number % 2]).raw()
-    program.judge()
-    assert program.plan is first
+        loop.update(scene=scenes[number % 2]).raw()
+    loop.judge()
+    assert loop.plan is first
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -302,7 +302,7 @@ def test_a_loop_judges_the_sun_as_it_does_a_lamp(device, unprobed, monkeypatch):
             )
             for values in (even().content.values, SPECTRA, SPECTRA[:, ::-1], SPECTRA[:, :, ::-1])
         ]
-        program = made(device).program(scenes[0], 1e12 / factor)
+        loop = made(device).loop(scenes[0], 1e12 / factor)
         for scene in scenes:
-            program.update(scene=scene).raw()
+            loop.update(scene=scene).raw()
     assert max(one for one in told[0] if one is not None) > 0 and told[0] == told[1] == told[2]

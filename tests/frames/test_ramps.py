@@ -67,7 +67,7 @@ def test_frames_are_those_of_their_own_settings(device, asked):
                 scene, illuminant=gs.Spectrum(light.wavelengths, values["light"] * light.values)
             )
         own = gs.Simulator(camera, device=device)
-        expected = own.program(lit).raw(seed=3, first=number)
+        expected = own.loop(lit).raw(seed=3, first=number)
         # powers round, so that settings differ in their last bits, and a few values by one
         assert (
             np.abs(one.values.astype(int) - np.array(own.device.numpy(expected)).astype(int)).max()
@@ -153,7 +153,7 @@ def test_automatic_exposure_follows_the_light_of_the_frame_before(output):
     else:
         for one, seconds in zip(made, expected, strict=True):
             lit = scene if one.number < 2 else bright
-            raw = simulator.program(lit, seconds).raw(seed=0, first=one.number)
+            raw = simulator.loop(lit, seconds).raw(seed=0, first=one.number)
             assert (
                 np.abs(one.values.astype(int) - np.array(raw).astype(int)).max() <= 1
             )  # of times' last bits

@@ -88,7 +88,7 @@ class Loop:
         self.random, self.device, self.fresh = np.random.default_rng(seed), device, {}
         self.cameras, self.scenes = self.some(cameras()), self.some(scenes())
         self.simulator = gs.Simulator(self.cameras[0], device=device)
-        self.program, self.setting = None, None
+        self.loop, self.setting = None, None
         self.batches = {
             output: self.simulator.batch(count, output) for output, count in BATCHES.items()
         }
@@ -109,13 +109,13 @@ class Loop:
         return np.array(self.simulator.device.numpy(array))
 
     def wanted(self, output, setting, seed=0, frame=0):
-        """What a new Simulator and Program give."""
+        """What a new Simulator and Loop give."""
         camera, scene, seconds, gain = setting
         key = output, id(camera), id(scene), seconds, gain, seed, frame
         if key not in self.fresh:
             simulator = gs.Simulator(camera, device=self.device)
             self.fresh[key] = self.host(
-                simulator.program(scene, seconds, gain).output(output, seed=seed, first=frame)
+                simulator.loop(scene, seconds, gain).output(output, seed=seed, first=frame)
             )
         return self.fresh[key]
 
@@ -133,9 +133,9 @@ class Loop:
             int(self.random.integers(2)),
             int(self.random.integers(2)),
         )
-        if self.program is None:
+        if self.loop is None:
             self.setting = setting
-            self.program = self.simulator.update(setting[0]).program(*setting[1:])
+            self.loop = self.simulator.update(setting[0]).loop(*setting[1:])
         else:  # some of it
             names = ("camera", "scene", "exposure_time", "gain")
             changed = {
@@ -143,16 +143,16 @@ class Loop:
                 for name, value in zip(names, setting, strict=True)
                 if self.random.random() < 0.4
             }
-            self.program.update(**changed)
+            self.loop.update(**changed)
             self.setting = tuple(
                 changed.get(name, old) for name, old in zip(names, self.setting, strict=True)
             )
         if self.random.random() < 0.3:
-            self.keep(self.program.frame(seed=seed, first=frame), self.setting, seed, frame)
+            self.keep(self.loop.frame(seed=seed, first=frame), self.setting, seed, frame)
         else:
             output = self.one(OUTPUTS)
             self.require(
-                self.host(self.program.output(output, seed=seed, first=frame)),
+                self.host(self.loop.output(output, seed=seed, first=frame)),
                 output,
                 self.setting,
                 seed,
@@ -209,8 +209,8 @@ class Loop:
                 lambda: self.batches["raw"](self.scenes[:3], exposure_time=[0.01, -1.0, 0.01]),
                 lambda: self.batches["raw"](self.scenes[:3], seed=[0, 0, -1]),
                 lambda: self.batches["codes"]([self.scenes[0], 3]),
-                lambda: (self.program or self.simulator.program(self.scenes[0])).update(gain=-1.0),
-                lambda: (self.program or self.simulator.program(self.scenes[0])).codes(seed=-1),
+                lambda: (self.loop or self.simulator.loop(self.scenes[0])).update(gain=-1.0),
+                lambda: (self.loop or self.simulator.loop(self.scenes[0])).codes(seed=-1),
                 lambda: self.simulator.expose(self.scenes[0]).raw(first=-1),
             ]
         )

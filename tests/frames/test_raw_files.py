@@ -269,7 +269,7 @@ def test_noise_profile_is_the_noise_of_the_frames(tmp_path, sensor):
     for part in (0.01, 0.1, 0.5):
         exposure = simulate.expose(scene, part * auto)
         if tags is None:
-            simulate.program(scene, exposure_time=part * auto).frame().save(tmp_path / "a.dng")
+            simulate.loop(scene, exposure_time=part * auto).frame().save(tmp_path / "a.dng")
             tags = tags_of(tmp_path / "a.dng")
             (slope, floor), black, white = (
                 tags["NoiseProfile"],
@@ -286,7 +286,7 @@ def test_levels_are_where_values_end(tmp_path):
     """White: the full well, 3000 e- of .5 DN above 1000 DN and an offset of 10.3 e-, far below the converter's end."""
     camera = camera_of("phone", bits=14, full_well=3000.0, gain=0.5, analog_offset=10.3)
     simulate = gs.Simulator(camera, device="opencl")
-    frame = simulate.program(gs.chart("flat", size=(32, 32)), exposure_time=100.0).frame()
+    frame = simulate.loop(gs.chart("flat", size=(32, 32)), exposure_time=100.0).frame()
     frame.save(tmp_path / "a.dng")
     tags = tags_of(tmp_path / "a.dng")
     assert tags["BlackLevel"] == pytest.approx([1005.15], rel=1e-7) and tags[

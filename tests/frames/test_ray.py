@@ -17,7 +17,7 @@ TIMES = RANDOM.uniform(0.002, 0.03, 10)
 
 
 def serial(device):
-    batch = gs.Batch(PHONE, device=device)
+    batch = gs.PictureBatch(PHONE, device=device)
     return [
         batch(np.moveaxis(picture, -1, 0)[None], first=item, seed=5, exposure_time=float(time))[0]
         for item, (picture, time) in enumerate(zip(PICTURES, TIMES, strict=True))

@@ -66,7 +66,7 @@ def test_a_writer_hands_on_frames_of_batches(device, library):
         assert list(frames) == ["left", "right"]
         for name, camera in cameras.items():
             pictures = (FRAME * (1 + number))[None, ..., :3].transpose(0, 3, 1, 2)
-            expected = gs.Batch(camera, device=device)(
+            expected = gs.PictureBatch(camera, device=device)(
                 pictures, first=number, seed=3 + crc32(name.encode()), exposure_time=0.01
             )
             np.testing.assert_array_equal(to_host(frames[name], "test"), expected[0])
@@ -82,7 +82,7 @@ def test_a_writer_hands_on_frames_of_batches(device, library):
 def test_pictures_have_the_renderers_layout():
     for output, shape in (("codes", (24, 32, 3)), ("linear", (24, 32, 3)), ("camera", (3, 24, 32))):
         views = Views(PHONE, device="numpy", output=output)
-        expected = gs.Batch(PHONE, device="numpy", output=output)(
+        expected = gs.PictureBatch(PHONE, device="numpy", output=output)(
             FRAME[None, ..., :3].transpose(0, 3, 1, 2), seed=crc32(b""), exposure_time=0.01
         )[0]
         found = views({"HdrColor": FRAME}, number=0, exposure_time=0.01)[""]

@@ -18,7 +18,7 @@ from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.processor.color import color
 from gpusim.pipeline.cache import Cache
-from gpusim.pipeline.program import Program
+from gpusim.pipeline.loop import Loop
 
 SIZE, FRAMES = (64, 48), 5
 
@@ -240,13 +240,13 @@ def scenes_of(kind, device):
     return [replace(one, content=one.content.with_samples(there)) for one in made]
 
 
-# of a program's own work between its steps
+# of a loop's own work between its steps
 PLANNING = {"facts", "probes", "plan"}
 
 
-def may_read(program):
+def may_read(loop):
     """Names of the values in whose making the host may read the device."""
-    return PLANNING | {name for name, step in program.values.steps.items() if step.host}
+    return PLANNING | {name for name, step in loop.values.steps.items() if step.host}
 
 
 class Reads:
@@ -267,7 +267,7 @@ class Reads:
         while frame is not None:
             if frame.f_code is Cache.run.__code__:
                 return {frame.f_locals["name"]}
-            if frame.f_code is Program.judge.__code__:
+            if frame.f_code is Loop.judge.__code__:
                 return set()  # numbers of the frame before
             frame = frame.f_back
         return {"between the steps"}
@@ -280,15 +280,15 @@ def test_nothing_is_read_and_nothing_is_stale(device, name, monkeypatch):
     device = gs.open_device(device)
     simulator = gs.Simulator(camera, device=device, **options)
     scenes = scenes_of(kind, device)
-    program = simulator.program(scenes[0])
+    loop = simulator.loop(scenes[0])
     for number, scene in enumerate(scenes):
         if number == 3:
             reads = Reads(device, monkeypatch)
-        program.update(scene=scene)
-        raw, codes = program.raw(seed=1, first=number), program.codes(seed=1, first=number)
-    assert reads.steps <= may_read(program)
-    assert program.values.unexpected_host_accesses() == []
-    fresh = gs.Simulator(camera, device=device, **options).program(scenes[0])
+        loop.update(scene=scene)
+        raw, codes = loop.raw(seed=1, first=number), loop.codes(seed=1, first=number)
+    assert reads.steps <= may_read(loop)
+    assert loop.values.unexpected_host_accesses() == []
+    fresh = gs.Simulator(camera, device=device, **options).loop(scenes[0])
     assert fresh.plan.scene is scenes[0]
     fresh.update(scene=scenes[-1])
     for ours, its in (
@@ -317,15 +317,13 @@ def test_nothing_is_stale_at_another_exposure_of_every_frame(device, name):
     camera, kind, options = FEATURES[name]
     device = gs.open_device(device)
     scene = scenes_of(kind, device)[0]
-    program = gs.Simulator(camera, device=device, **options).program(scene)
+    loop = gs.Simulator(camera, device=device, **options).loop(scene)
     for number, seconds in enumerate((1e-3, 2e-3, 4e-3, 8e-3, 0.1)):
-        found = program.update(exposure_time=seconds, gain=1 + 0.1 * number).codes(
+        found = loop.update(exposure_time=seconds, gain=1 + 0.1 * number).codes(
             seed=1, first=number
         )
     fresh = (
-        gs.Simulator(camera, device=device, **options)
-        .program(scene, 0.1, 1.4)
-        .codes(seed=1, first=4)
+        gs.Simulator(camera, device=device, **options).loop(scene, 0.1, 1.4).codes(seed=1, first=4)
     )
     np.testing.assert_array_equal(np.array(device.numpy(found)), np.array(device.numpy(fresh)))
 
@@ -349,11 +347,11 @@ def test_a_step_that_reads_is_found(device, monkeypatch):
         return device.array(np.array(device.numpy(color(*arguments, **options))))
 
     monkeypatch.setattr("gpusim.pipeline.developer.color", through_the_host)
-    program = gs.Simulator(camera_with(**FIXED, processor={"denoise": 1.0}), device=device).program(
+    loop = gs.Simulator(camera_with(**FIXED, processor={"denoise": 1.0}), device=device).loop(
         scenes_of("cube", device)[0]
     )
     reads = Reads(device, monkeypatch)
     for number, scene in enumerate(scenes_of("cube", device)):
-        program.update(scene=scene).codes(seed=1, first=number)
-    assert "linear" in reads.steps - may_read(program)
-    assert program.values.unexpected_host_accesses() == [("linear", "between the stages")]
+        loop.update(scene=scene).codes(seed=1, first=number)
+    assert "linear" in reads.steps - may_read(loop)
+    assert loop.values.unexpected_host_accesses() == [("linear", "between the stages")]

@@ -1,4 +1,4 @@
-"""Streams give the frames that programs give one by one; what is wrong with a scene is found one frame late at most."""
+"""Streams give the frames that loops give one by one; what is wrong with a scene is found one frame late at most."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -34,14 +34,14 @@ def apart():
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("output", ["raw", "codes"])
-def test_frames_of_a_stream_are_those_of_single_programs(device, output):
+def test_frames_of_a_stream_are_those_of_single_loops(device, output):
     """Cubes in a known light have one operator, so that every scene's own plan is the stream's."""
     simulator, scenes = gs.Simulator(CAMERA, device=device, tolerance=4e-4), cubes(5)
     found = taken(
         simulator.stream(scenes, output, seed=3, first=7, exposure_time=0.01), simulator.device
     )
     for number, (frame, scene) in enumerate(zip(found, scenes, strict=True), 7):
-        own = simulator.program(scene, 0.01)
+        own = simulator.loop(scene, 0.01)
         again = taken([getattr(own, output)(seed=3, first=number)], simulator.device)[0]
         np.testing.assert_array_equal(frame, again)
 
@@ -75,9 +75,7 @@ def test_other_kinds_and_sizes_on_the_way(device):
     scenes = [*cubes(2), gs.chart("colorchecker", size=(64, 48)), *cubes(1, (60, 40)), cubes(1)[0]]
     found = taken(simulator.stream(scenes, "raw", seed=2, exposure_time=0.01), simulator.device)
     for number, (frame, scene) in enumerate(zip(found, scenes, strict=True)):
-        fresh = taken([simulator.program(scene, 0.01).raw(seed=2, first=number)], simulator.device)[
-            0
-        ]
+        fresh = taken([simulator.loop(scene, 0.01).raw(seed=2, first=number)], simulator.device)[0]
         np.testing.assert_array_equal(frame, fresh)
 
 
@@ -105,19 +103,19 @@ def test_a_plan_that_does_not_fit_is_made_anew(device):
         mean, true = taken([exposure.mean, exact.expose(odd, 0.01).mean], simulator.device)
         return np.sqrt(np.mean((mean.astype(float) - true) ** 2) / np.mean(true.astype(float) ** 2))
 
-    program = simulator.program(likely, 0.01)
-    program.raw()
-    program.update(scene=replace(likely, name="probed")).raw()
-    first = program.plan
-    assert error(program.update(scene=odd).exposure) > tolerance
-    assert program.plan is first
-    program.judge()
-    assert program.plan is not first
-    assert program.plan.scene is odd
-    assert error(program.exposure) < tolerance
-    program.update(scene=likely).raw()
-    program.judge()
-    assert program.plan.scene is odd  # it does for likely spectra as well
+    loop = simulator.loop(likely, 0.01)
+    loop.raw()
+    loop.update(scene=replace(likely, name="probed")).raw()
+    first = loop.plan
+    assert error(loop.update(scene=odd).exposure) > tolerance
+    assert loop.plan is first
+    loop.judge()
+    assert loop.plan is not first
+    assert loop.plan.scene is odd
+    assert error(loop.exposure) < tolerance
+    loop.update(scene=likely).raw()
+    loop.judge()
+    assert loop.plan.scene is odd  # it does for likely spectra as well
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -149,9 +147,9 @@ def test_what_comes_back_finds_a_plan_that_fits(device, monkeypatch):
 def test_a_frame_with_a_report_is_by_a_plan_that_fits_it(device):
     """At once, not a frame later; and the report names the scene, and the one that was planned for."""
     simulator, (first, second) = gs.Simulator(CAMERA, device=device, tolerance=1e-3), cubes(2)
-    program = simulator.program(first, 0.01)
-    own = program.frame().report
-    report = program.update(scene=second).frame().report
+    loop = simulator.loop(first, 0.01)
+    own = loop.frame().report
+    report = loop.update(scene=second).frame().report
     metered = gs.Simulator(CAMERA, device=device)(first).report
     assert {stage.model for stage in metered.stages if stage.stage == "sensor.meter"} == {
         "automatic exposure, highlights"
@@ -164,8 +162,8 @@ def test_a_frame_with_a_report_is_by_a_plan_that_fits_it(device):
     )  # 1.1 as
     # bright
     odd = of_one_band(first, 24)
-    frame = program.update(scene=odd).frame()
-    fresh = simulator.program(odd, 0.01).frame()
+    frame = loop.update(scene=odd).frame()
+    fresh = simulator.loop(odd, 0.01).frame()
     np.testing.assert_array_equal(frame.mean, fresh.mean)
     assert frame.report.account == fresh.report.account
 
@@ -175,12 +173,12 @@ def test_a_highlight_is_found(device):
     """A pixel beyond what transforms can take beside the dark is split off, one frame late at most."""
     simulator, (first, second) = gs.Simulator(CAMERA, device=device, tolerance=1e-3), cubes(2)
     second.content.values[:, 30, 40] *= 1e6
-    program = simulator.program(first, 0.01)
-    program.raw()
-    program.update(scene=second).raw()
-    assert program.plan.highlights is None
-    program.judge()
-    assert len(program.plan.highlights.places) == 1
+    loop = simulator.loop(first, 0.01)
+    loop.raw()
+    loop.update(scene=second).raw()
+    assert loop.plan.highlights is None
+    loop.judge()
+    assert len(loop.plan.highlights.places) == 1
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
@@ -262,8 +260,8 @@ def test_refuses():
         next(simulator.stream(cubes(1)[0]))
     for asked in (
         lambda: next(simulator.stream([3])),
-        lambda: simulator.program(3),
-        lambda: simulator.program(cubes(1)[0]).update(scene="a chart"),
+        lambda: simulator.loop(3),
+        lambda: simulator.loop(cubes(1)[0]).update(scene="a chart"),
     ):
         with pytest.raises(BadData, match="wanted a Scene"):
             asked()

@@ -36,7 +36,7 @@ def compared(device, tolerance):
     """Frames of a batch and those of the pictures one by one, in another order."""
     pictures = PICTURES.copy()
     pictures[2, :, 7, 9] = 2e4
-    batch = gs.Batch(PHONE, device=device, tolerance=tolerance)
+    batch = gs.PictureBatch(PHONE, device=device, tolerance=tolerance)
     together = batch(pictures, first=30, seed=2, exposure_time=0.01)
     assert together.shape == (4, 40, 48) and together.dtype == np.uint16
     for item in (2, 0, 3, 1, 2):
@@ -50,7 +50,7 @@ def compared(device, tolerance):
 def test_frames_are_those_of_scenes(device, output):
     """Of linear sRGB as reflectances in D65: that of the scene that `gs.open_scene` makes of a photograph, exact."""
     batch, simulator = (
-        gs.Batch(PHONE, device=device, output=output),
+        gs.PictureBatch(PHONE, device=device, output=output),
         gs.Simulator(PHONE, device=device),
     )
     found = batch(PICTURES, first=5, seed=1, exposure_time=0.02)
@@ -60,8 +60,8 @@ def test_frames_are_those_of_scenes(device, output):
             gs.Basis(content.wavelengths, linear, content.basis),
             gs.picture(np.zeros((2, 2, 3), np.uint8)).illuminant,
         )
-        program = simulator.program(scene, 0.02)
-        expected = np.array(simulator.device.numpy(program.output(output, seed=1, first=5 + item)))
+        loop = simulator.loop(scene, 0.02)
+        expected = np.array(simulator.device.numpy(loop.output(output, seed=1, first=5 + item)))
         if output == "codes":  # of which the device has the channels last
             expected = np.moveaxis(expected, -1, 0)
         assert found[item].shape == ((40, 48) if output in ("raw", "mean") else (3, 40, 48))
@@ -74,14 +74,14 @@ def test_spectral_pictures_are_cubes(device):
     values = np.asarray(scene.content.values, np.float32)[None]
     simulator = gs.Simulator(PHONE, device=device)
     for light, lit in (("D65", gs.picture(np.zeros((2, 2), np.uint8)).illuminant), (None, None)):
-        batch = gs.Batch(
+        batch = gs.PictureBatch(
             PHONE, device=device, output="mean", wavelengths=scene.content.wavelengths, light=light
         )
         if lit is None:
             from gpusim.domain.scene import unit_light
 
             lit = unit_light(scene.content.wavelengths)
-        expected = simulator.program(
+        expected = simulator.loop(
             gs.Scene(gs.Cube(scene.content.wavelengths, values[0]), lit), 0.01
         ).output("mean")
         np.testing.assert_array_equal(
@@ -98,18 +98,18 @@ def test_settings_of_each_picture(device):
         camera_with(processor={"white_balance": "none"}),
     ]
     times, gains = [0.01, 0.02, 0.01, 0.005], [1.0, 1.0, 2.0, 1.0]
-    batch = gs.Batch(PHONE, device=device, output="codes")
+    batch = gs.PictureBatch(PHONE, device=device, output="codes")
     for turn in range(2):
         found = batch(PICTURES, first=4 * turn, exposure_time=times, gain=gains, camera=cameras)
         for item, camera in enumerate(cameras):
-            alone = gs.Batch(camera, device=device, output="codes")(
+            alone = gs.PictureBatch(camera, device=device, output="codes")(
                 PICTURES[[item]], first=4 * turn + item, exposure_time=times[item], gain=gains[item]
             )
             np.testing.assert_array_equal(found[item], alone[0])
 
 
 def test_grey_halves_and_other_shapes():
-    batch = gs.Batch(PHONE, device="numpy", output="mean")
+    batch = gs.PictureBatch(PHONE, device="numpy", output="mean")
     grey, colour = (
         batch(np.full((1, channels, 20, 24), 0.5, np.float16), exposure_time=0.01)
         for channels in (1, 3)
@@ -135,18 +135,20 @@ def test_grey_halves_and_other_shapes():
 )
 def test_bad_pictures(asked, error, words):
     with pytest.raises(error) as raised:
-        gs.Batch(PHONE, device="numpy")(asked, exposure_time=0.01)
+        gs.PictureBatch(PHONE, device="numpy")(asked, exposure_time=0.01)
     assert words in str(raised.value) and "\n" not in str(raised.value)
 
 
 def test_bad_settings():
     with pytest.raises(UnknownName, match="output"):
-        gs.Batch(PHONE, device="numpy", output="rgb")
+        gs.PictureBatch(PHONE, device="numpy", output="rgb")
     with pytest.raises(OutOfRange, match="light"):
-        gs.Batch(PHONE, device="numpy", light=None)
+        gs.PictureBatch(PHONE, device="numpy", light=None)
     for tolerance in (None, "video"):
         with pytest.raises(BadData, match="3 of exposure_time"):
-            gs.Batch(PHONE, device="numpy", tolerance=tolerance)(PICTURES, exposure_time=[0.1] * 3)
+            gs.PictureBatch(PHONE, device="numpy", tolerance=tolerance)(
+                PICTURES, exposure_time=[0.1] * 3
+            )
 
 
 @needs_torch
@@ -156,7 +158,7 @@ def test_tensors_give_tensors_without_gradients(device):
 
     from gpusim.apps.tensors.torch import Frames
 
-    expected = gs.Batch(PHONE, device=device)(PICTURES, exposure_time=0.01)
+    expected = gs.PictureBatch(PHONE, device=device)(PICTURES, exposure_time=0.01)
     given = torch.from_numpy(PICTURES).requires_grad_()
     found = Frames(PHONE, device=device)(given, exposure_time=0.01)
     assert isinstance(found, torch.Tensor) and not found.requires_grad
@@ -169,7 +171,7 @@ def test_tensors_give_tensors_without_gradients(device):
 @pytest.mark.parametrize("tolerance", [None, "video"])
 def test_settings_as_arrays_and_tensors(tolerance):
     times = np.array([0.01, 0.02, 0.005, 0.01])
-    batch = gs.Batch(PHONE, device="numpy", tolerance=tolerance)
+    batch = gs.PictureBatch(PHONE, device="numpy", tolerance=tolerance)
     expected = batch(PICTURES, exposure_time=times.tolist(), gain=2.0)
     np.testing.assert_array_equal(
         batch(PICTURES, exposure_time=times, gain=np.array(2.0)), expected
@@ -185,7 +187,7 @@ def test_settings_as_arrays_and_tensors(tolerance):
 @pytest.mark.parametrize("device", KINDS)
 def test_a_batch_that_was_refused_leaves_nothing_for_the_next(device):
     """Also where the device alone sees the pictures: those of the next call are good."""
-    batch = gs.Batch(PHONE, device=device)
+    batch = gs.PictureBatch(PHONE, device=device)
     expected = batch(PICTURES, exposure_time=0.01)
     there = batch.simulator.device
     bad = PICTURES.copy()

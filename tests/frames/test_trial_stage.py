@@ -118,15 +118,15 @@ for name in ("opencl", "warp:cpu"):
     assert order.index("sensor.collect") < order.index("sensor.crosstalk") < order.index("sensor.noise")
     assert report.error.rms < 1e-3, f"true error {report.error.rms}"
     for start, end in ((plain, mixed), (mixed, plain)):
-        program = gs.Simulator(start, device=device).program(scene)
-        fresh = gs.Simulator(end, device=device).program(scene)
+        loop = gs.Simulator(start, device=device).loop(scene)
+        fresh = gs.Simulator(end, device=device).loop(scene)
         for output in ("mean", "raw", "codes"):
-            before = np.array(device.numpy(program.output(output, seed=1)))
-            after = np.array(device.numpy(program.update(camera=end).output(output, seed=1)))
+            before = np.array(device.numpy(loop.output(output, seed=1)))
+            after = np.array(device.numpy(loop.update(camera=end).output(output, seed=1)))
             wanted = np.array(device.numpy(fresh.output(output, seed=1)))
             np.testing.assert_array_equal(after, wanted)
             assert not np.array_equal(before, after)
-            program.update(camera=start)
+            loop.update(camera=start)
 print("all is well")
 """
 

@@ -65,7 +65,7 @@ def test_what_one_device_made_is_used_by_the_other(two):
     cube = two[0].array(picture.content.bands_at(slice(None)))
     scene = gs.scene_from(cube, picture.wavelengths)
     raws = [
-        gs.Simulator(gs.open_camera("phone"), device=device).program(scene, 0.01).raw(seed=1)
+        gs.Simulator(gs.open_camera("phone"), device=device).loop(scene, 0.01).raw(seed=1)
         for device in two
     ]
     np.testing.assert_array_equal(

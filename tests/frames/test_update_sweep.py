@@ -1,4 +1,4 @@
-"""Every key of camera files: a program that is updated gives what a new one gives, bit for bit, there and back."""
+"""Every key of camera files: a loop that is updated gives what a new one gives, bit for bit, there and back."""
 
 import tomllib
 
@@ -198,12 +198,12 @@ def _toml(value):
     )
 
 
-def outputs_of(program):
+def outputs_of(loop):
     """Every output as an array, or the words in which it is refused."""
     found = {}
     for name in OUTPUTS:
         try:
-            found[name] = np.array(program.simulator.device.numpy(program.output(name, seed=1)))
+            found[name] = np.array(loop.simulator.device.numpy(loop.output(name, seed=1)))
         except gs.GpusimError as refusal:
             found[name] = str(refusal)
     return found
@@ -211,7 +211,7 @@ def outputs_of(program):
 
 @pytest.fixture(scope="module")
 def seen():
-    """Outputs of new programs, by camera."""
+    """Outputs of new loops, by camera."""
     return {}
 
 
@@ -223,14 +223,14 @@ def test_every_key_has_a_value():
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("section", "key"), PAIRS, ids=lambda one: one)
-def test_an_updated_program_gives_what_a_new_one_gives(folder, section, key):
+def test_an_updated_loop_gives_what_a_new_one_gives(folder, section, key):
     scene = gs.chart("deadleaves", size=(48, 32), seed=3)
     first, second = camera_of(folder), camera_of(folder, section, key)
     for start, end in ((first, second), (second, first)):
-        program = gs.Simulator(start, device="opencl").program(scene)
-        before = outputs_of(program)
-        after = outputs_of(program.update(camera=end))
-        fresh = outputs_of(gs.Simulator(end, device="opencl").program(scene))
+        loop = gs.Simulator(start, device="opencl").loop(scene)
+        before = outputs_of(loop)
+        after = outputs_of(loop.update(camera=end))
+        fresh = outputs_of(gs.Simulator(end, device="opencl").loop(scene))
         for name in OUTPUTS:
             np.testing.assert_array_equal(
                 after[name], fresh[name], err_msg=f"{section}.{key}: {name}"

@@ -1,4 +1,4 @@
-"""A program runs what is behind a change, and gives what a new Simulator gives, bit for bit."""
+"""A loop runs what is behind a change, and gives what a new Simulator gives, bit for bit."""
 
 from dataclasses import replace
 
@@ -53,25 +53,25 @@ def numpy(device, *arrays):
 @pytest.mark.parametrize("name", CHANGES)
 def test_what_is_behind_a_change_runs_and_nothing_else(device, name, scene):
     parts, behind = CHANGES[name]
-    program = gs.Simulator(BASE, device=device).program(scene)
-    program.codes(seed=3)
+    loop = gs.Simulator(BASE, device=device).loop(scene)
+    loop.codes(seed=3)
     changed = camera_with(BASE, **parts)
-    program.update(camera=changed)
-    with program.simulator.device.timed() as ms:
-        codes, raw = program.codes(seed=3), program.raw(seed=3)
+    loop.update(camera=changed)
+    with loop.simulator.device.timed() as ms:
+        codes, raw = loop.codes(seed=3), loop.raw(seed=3)
     assert set(ms) == behind
     fresh = gs.Simulator(changed, device=device)(scene, seed=3)
-    found = numpy(program.simulator.device, codes, raw)
+    found = numpy(loop.simulator.device, codes, raw)
     np.testing.assert_array_equal(found[0], fresh.rgb)
     np.testing.assert_array_equal(found[1], fresh.raw)
 
 
 @pytest.mark.parametrize("device", KINDS)
-def test_what_is_given_to_the_program_itself(device, scene):
+def test_what_is_given_to_the_loop_itself(device, scene):
     """Another seed, frame, exposure time, gain or scene; and the first one again."""
     simulator = gs.Simulator(BASE, device=device)
-    program, other = simulator.program(scene), gs.chart("colorchecker", size=SIZE)
-    first = program.frame(seed=3)
+    loop, other = simulator.loop(scene), gs.chart("colorchecker", size=SIZE)
+    first = loop.frame(seed=3)
     for seed, frame, seconds, gain, shown in (
         (4, 0, None, 1.0, scene),
         (4, 7, None, 1.0, scene),
@@ -80,7 +80,7 @@ def test_what_is_given_to_the_program_itself(device, scene):
         (4, 7, 0.02, 2.0, other),
         (3, 0, None, 1.0, scene),
     ):
-        found = program.update(scene=shown, exposure_time=seconds, gain=gain).frame(
+        found = loop.update(scene=shown, exposure_time=seconds, gain=gain).frame(
             seed=seed, first=frame
         )
         exposure = gs.Simulator(BASE, device=device).expose(shown, seconds, gain)
@@ -92,40 +92,34 @@ def test_what_is_given_to_the_program_itself(device, scene):
 
 def test_automatic_exposure_is_metered_anew_where_it_must_be(scene):
     automatic = camera_with(BASE, sensor={"exposure_time": None}, noise={"dark_current": 0.0})
-    program = gs.Simulator(automatic, device="numpy").program(scene)
-    first = program.exposure.exposure_time
+    loop = gs.Simulator(automatic, device="numpy").loop(scene)
+    first = loop.exposure.exposure_time
     darker = camera_with(
         automatic, sensor={"auto_exposure": gs.AutoExposure(level=0.475)}
     )  # half of .95
-    assert program.update(camera=darker).exposure.exposure_time == pytest.approx(
-        first / 2, rel=1e-12
-    )
+    assert loop.update(camera=darker).exposure.exposure_time == pytest.approx(first / 2, rel=1e-12)
     brighter = replace(
         scene, illuminant=replace(scene.illuminant, values=2 * scene.illuminant.values)
     )
     # float32 metering: the largest of values rounded to 6e-8 each
-    assert program.update(scene=brighter).exposure.exposure_time == pytest.approx(
-        first / 4, rel=1e-6
-    )
+    assert loop.update(scene=brighter).exposure.exposure_time == pytest.approx(first / 4, rel=1e-6)
 
 
 def test_a_refused_change_changes_nothing(scene):
-    program = gs.Simulator(BASE, device="numpy").program(scene)
-    before = program.codes(seed=1)
+    loop = gs.Simulator(BASE, device="numpy").loop(scene)
+    before = loop.codes(seed=1)
     with pytest.raises(OutOfRange, match="exposure_time"):
-        program.update(
-            camera=camera_with(BASE, processor={"demosaic": "malvar"}), exposure_time=-1.0
-        )
-    np.testing.assert_array_equal(program.codes(seed=1), before)
+        loop.update(camera=camera_with(BASE, processor={"demosaic": "malvar"}), exposure_time=-1.0)
+    np.testing.assert_array_equal(loop.codes(seed=1), before)
 
 
 def test_the_report_has_every_stage_that_ran(scene):
     """Stages in the order of their first launch; kept ones at 0 ms; in all no less than the stages' sum."""
-    program = gs.Simulator(BASE, device="opencl", tolerance=1e-3).program(scene)
-    report = program.frame(seed=1).report
+    loop = gs.Simulator(BASE, device="opencl", tolerance=1e-3).loop(scene)
+    report = loop.frame(seed=1).report
     names = [stage.stage for stage in report.stages]
     assert len(names) == len(set(names))
-    blur = "optics.mosaic" if program.simulator.device.is_gpu else "optics.tiles"
+    blur = "optics.mosaic" if loop.simulator.device.is_gpu else "optics.tiles"
     assert {"spectral.integrate", "optics.airy", blur, "sensor.noise", "display.encode"} <= set(
         names
     )
@@ -142,7 +136,7 @@ def test_the_report_has_every_stage_that_ran(scene):
     ]
     assert order == sorted(order)
     assert 0 < report.ms <= report.wall_ms
-    again = program.frame(seed=1).report
+    again = loop.frame(seed=1).report
     assert [stage.stage for stage in again.stages] == names and again.ms == 0
 
 
@@ -180,14 +174,14 @@ def digital(base):
     ],
 )
 def test_nothing_stale_is_used(device, change, scene):
-    """There and back again, by a program and by one Simulator: mean, raw, pictures and what the report names."""
+    """There and back again, by a loop and by one Simulator: mean, raw, pictures and what the report names."""
     start = camera_with(BASE, processor={"white_balance": "max-rgb"})
-    program = gs.Simulator(start, device=device).program(scene)
-    simulator = program.simulator
+    loop = gs.Simulator(start, device=device).loop(scene)
+    simulator = loop.simulator
     for camera in (start, change(start), start, digital(start), change(start)):
         simulator = simulator.update(camera)
         fresh = gs.Simulator(camera, device=device)(scene, seed=2)
-        for frame in (program.update(camera=camera).frame(seed=2), simulator(scene, seed=2)):
+        for frame in (loop.update(camera=camera).frame(seed=2), simulator(scene, seed=2)):
             for key in ("mean", "raw", "linear", "rgb"):
                 np.testing.assert_array_equal(getattr(frame, key), getattr(fresh, key), key)
             assert frame.report.camera == fresh.report.camera
@@ -214,33 +208,29 @@ def test_nothing_stale_is_used(device, change, scene):
 def test_arrays_that_were_written_to_are_seen_in_a_new_scene():
     values = np.full((3, 24, 32), 0.5, np.float32)
     wavelengths, light = np.array([450.0, 550.0, 650.0]), gs.illuminant("D65")
-    program = gs.Simulator(BASE, device="opencl").program(
-        gs.Scene(gs.Cube(wavelengths, values), light)
-    )
-    first = program.frame().mean
+    loop = gs.Simulator(BASE, device="opencl").loop(gs.Scene(gs.Cube(wavelengths, values), light))
+    first = loop.frame().mean
     values *= np.float32(0.25)
-    second = program.update(scene=gs.Scene(gs.Cube(wavelengths, values), light)).frame().mean
+    second = loop.update(scene=gs.Scene(gs.Cube(wavelengths, values), light)).frame().mean
     np.testing.assert_allclose(second, first / 4, rtol=1e-6)  # float32, a power of two
 
 
 def test_pictures_are_the_callers_own(scene):
-    program = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").program(
-        scene
-    )
-    first, second = program.frame(), program.frame(first=1)
+    loop = gs.Simulator(camera_with(BASE, processor={"shading": True}), device="numpy").loop(scene)
+    first, second = loop.frame(), loop.frame(first=1)
     before = second.mean.copy(), second.shading.copy()
     first.mean[...] = 0
     first.shading[...] = 0
     for array, kept in zip((second.mean, second.shading), before, strict=True):
         np.testing.assert_array_equal(array, kept)
-    np.testing.assert_array_equal(program.frame(first=2).shading, before[1])
+    np.testing.assert_array_equal(loop.frame(first=2).shading, before[1])
 
 
 def test_a_negative_gain_is_refused_at_once(scene):
-    program = gs.Simulator(BASE, device="numpy").program(scene)
+    loop = gs.Simulator(BASE, device="numpy").loop(scene)
     with pytest.raises(OutOfRange, match="gain"):
-        program.update(gain=-1.0)
-    program.codes()
+        loop.update(gain=-1.0)
+    loop.codes()
 
 
 def test_keys_are_compared_by_what_they_say():
@@ -288,11 +278,11 @@ def test_noise_is_turned_on_and_off(device, key):
     quiet = gs.open_camera("phone").with_(**silent)
     noisy = quiet.with_(**{key: NOISES[key]})
     device, scene = gs.open_device(device), gs.chart("deadleaves", size=(48, 32), seed=1)
-    program = gs.Simulator(quiet, device=device).program(scene)
+    loop = gs.Simulator(quiet, device=device).loop(scene)
     frames = []
     for camera in (quiet, noisy, quiet):
-        found = np.array(device.numpy(program.update(camera=camera).raw(seed=1)))
-        fresh = gs.Simulator(camera, device=device).program(scene).raw(seed=1)
+        found = np.array(device.numpy(loop.update(camera=camera).raw(seed=1)))
+        fresh = gs.Simulator(camera, device=device).loop(scene).raw(seed=1)
         np.testing.assert_array_equal(found, np.array(device.numpy(fresh)))
         frames.append(found)
     assert not np.array_equal(frames[0], frames[1])
@@ -300,7 +290,7 @@ def test_noise_is_turned_on_and_off(device, key):
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
-    """Raw values alone need no processor; the report needs all, and frames of a program are made at once."""
+    """Raw values alone need no processor; the report needs all, and frames of a loop are made at once."""
     simulator, scene = (
         gs.Simulator(gs.open_camera("phone"), device=device),
         gs.chart("ramp", size=(48, 36)),
@@ -325,11 +315,11 @@ def test_a_frame_is_made_as_far_as_it_is_asked_for(device):
     assert stages("mean") == set()
     assert stages("raw", "raw") == {"sensor.noise"}
     assert {"processor.color", "display.encode"} <= stages("rgb")
-    program = simulator.program(scene, 0.01)
-    first = program.frame(seed=1)
-    shot = program.exposure.frame(seed=1)
+    loop = simulator.loop(scene, 0.01)
+    first = loop.frame(seed=1)
+    shot = loop.exposure.frame(seed=1)
     values = first.raw.copy(), first.rgb.copy()
-    program.update(scene=gs.chart("flat", size=(48, 36)), exposure_time=0.02).frame(seed=2)
+    loop.update(scene=gs.chart("flat", size=(48, 36)), exposure_time=0.02).frame(seed=2)
     for frame in (first, shot):
         np.testing.assert_array_equal(frame.raw, values[0])
         np.testing.assert_array_equal(frame.rgb, values[1])

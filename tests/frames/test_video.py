@@ -128,7 +128,7 @@ def test_a_lossless_video_holds_the_frames_of_a_stream(device, tmp_path, capsys)
         "7",
         *ASKED,
     ]
-    program = simulator.program(scene)
+    loop = simulator.loop(scene)
     for codec, output in (("ffv1-raw", "raw"), ("ffv1-linear", "linear")):
         path = tmp_path / f"{codec}.mkv"
         for shard in ("1/2", "0/2"):
@@ -140,7 +140,7 @@ def test_a_lossless_video_holds_the_frames_of_a_stream(device, tmp_path, capsys)
             assert abs(stream.average_rate - 30) < 0.01
         assert len(found) == 7
         for number, frame in enumerate(found):
-            values = np.array(simulator.device.numpy(program.output(output, seed=3, first=number)))
+            values = np.array(simulator.device.numpy(loop.output(output, seed=3, first=number)))
             if output == "linear":
                 values = np.rint(
                     65535 * np.clip(np.moveaxis(values, 0, -1).astype(np.float64), 0, 1)

@@ -141,7 +141,7 @@ def test_a_star_keeps_its_energy_between_samples(device, form):
         ):
             scene = Scene(stars(form), LIGHT, border="zero", view=view)
             electrons = simulator.device.numpy(
-                simulator.program(scene, exposure_time=0.01).output("electrons")
+                simulator.loop(scene, exposure_time=0.01).output("electrons")
             )
             assert electrons.min() >= 0
             energies.append(np.sum(electrons, axis=(1, 2), dtype=np.float64) / view.zoom**2)
@@ -175,24 +175,22 @@ def test_a_loop_of_views_gives_the_frames_of_each(device):
     scene = gs.chart("deadleaves", size=(96, 64))
     simulator = gs.Simulator(PHONE, device=device, tolerance=0.1)
     views = [gs.View((0.3 * k, -k), 0.01 * k, 1 + 0.02 * k) for k in range(1, 6)]
-    program = simulator.program(replace(scene, view=views[0]), exposure_time=0.01)
-    plan = program.plan
+    loop = simulator.loop(replace(scene, view=views[0]), exposure_time=0.01)
+    plan = loop.plan
     for k in (0, 3, 1, 1, 4, 2, 0):
         view = scene.viewed(views[k])
-        found = np.array(simulator.device.numpy(program.update(scene=view).raw(seed=1, first=k)))
-        assert program.plan is plan
+        found = np.array(simulator.device.numpy(loop.update(scene=view).raw(seed=1, first=k)))
+        assert loop.plan is plan
         alone = np.array(
-            simulator.device.numpy(simulator.program(view, exposure_time=0.01).raw(seed=1, first=k))
+            simulator.device.numpy(simulator.loop(view, exposure_time=0.01).raw(seed=1, first=k))
         )
         assert np.array_equal(found, alone)
     for view in (
         gs.View(),
         gs.View((4, 7)),
     ):  # nothing is interpolated there, and no error of it told
-        program.update(scene=replace(scene, view=view))
-        assert (
-            program.plan is not plan and program.plan.account.bounds.get("view", Bound()) == Bound()
-        )
+        loop.update(scene=replace(scene, view=view))
+        assert loop.plan is not plan and loop.plan.account.bounds.get("view", Bound()) == Bound()
 
 
 def test_a_lens_distorts_what_the_view_shows(planes):
@@ -209,7 +207,7 @@ def test_a_lens_distorts_what_the_view_shows(planes):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_a_lens_of_many_samples_a_pixel_magnifies_without_dimming(device):
-    """A flat scene of 2.5 samples a pixel, seen by area: a view's zoom changes no brightness, as a program goes on.
+    """A flat scene of 2.5 samples a pixel, seen by area: a view's zoom changes no brightness, as a loop goes on.
 
     Areas are quadrilaterals of corners to 1e-3 of a sample.
     """
@@ -224,15 +222,13 @@ def test_a_lens_of_many_samples_a_pixel_magnifies_without_dimming(device):
     )
     flat = scene_of(np.ones((4, 60, 60)), border="edge")
     simulator = gs.Simulator(camera, device=device)
-    program = simulator.program(replace(flat, view=gs.View((0.5, 0.0))), exposure_time=0.01)
-    assert program.plan.distortion.method == "area"
+    loop = simulator.loop(replace(flat, view=gs.View((0.5, 0.0))), exposure_time=0.01)
+    assert loop.plan.distortion.method == "area"
     means = []
     for zoom in (1.0, 2.0, 1.0, 3.0):
-        program.update(scene=replace(flat, view=gs.View((0.5, 0.0), 0.0, zoom)))
+        loop.update(scene=replace(flat, view=gs.View((0.5, 0.0), 0.0, zoom)))
         means.append(
-            np.array(simulator.device.numpy(program.output("electrons")), np.float64)[
-                :, 28:32, 28:32
-            ]
+            np.array(simulator.device.numpy(loop.output("electrons")), np.float64)[:, 28:32, 28:32]
         )
     for one in means[1:]:
         np.testing.assert_allclose(one, means[0], rtol=4e-3)

@@ -281,11 +281,11 @@ def test_a_plan_is_made_for_the_exposure_time_that_is_asked_for():
         gs.chart("deadleaves", size=(96, 64)),
         gs.Simulator(PHONE, device="numpy", tolerance="video"),
     )
-    short, long = (simulator.program(scene, seconds).plan for seconds in (1e-4, 0.1))
+    short, long = (simulator.loop(scene, seconds).plan for seconds in (1e-4, 0.1))
     assert short.mix is None or short.mix.shape[1] <= long.mix.shape[1]
-    program = simulator.program(scene, 1e-4)
-    assert program.plan is program.plan
-    assert _cost(program.plan) < _cost(program.update(exposure_time=0.1).plan)
+    loop = simulator.loop(scene, 1e-4)
+    assert loop.plan is loop.plan
+    assert _cost(loop.plan) < _cost(loop.update(exposure_time=0.1).plan)
 
 
 def test_what_float32_cannot_hold_float64_does():

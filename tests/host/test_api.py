@@ -429,7 +429,7 @@ def run(folder: Path) -> None:
     hdr = gs.merge_bracket(simulate, frames)
     print("of a bracket", cpsnr(frames[0].linear, hdr.linear))
     hdr.save(folder / "hdr.exr")
-    batch = gs.Batch(camera, device="numpy")
+    batch = gs.PictureBatch(camera, device="numpy")
     print(night(simulate, checker).exposure_time, batch(np.ones((1, 3, 16, 16))).shape)
     try:
         gs.open_scene("colorchekcer")
@@ -550,8 +550,8 @@ def test_what_public_functions_give_has_a_type():
         (f"{kind.__name__}.{name}", method)
         for kind in (
             gs.Simulator,
-            gs.Program,
-            gs.Batch,
+            gs.Loop,
+            gs.PictureBatch,
             gs.Readout,
             gs.Frame,
             gs.Camera,

@@ -27,7 +27,7 @@ def simulate():
         lambda simulate: simulate.frames(ARRAY, 2),
         lambda simulate: simulate.expose(ARRAY),
         lambda simulate: simulate.plan(ARRAY),
-        lambda simulate: simulate.program(ARRAY),
+        lambda simulate: simulate.loop(ARRAY),
         lambda simulate: simulate.batch(1)(ARRAY),
         lambda simulate: simulate.batch(1)([ARRAY]),
     ],
@@ -53,7 +53,10 @@ def test_a_stream_of_an_array_is_refused_at_the_call(simulate):
 @pytest.mark.parametrize("kind", [np.float32, np.float64, np.float16])
 @pytest.mark.parametrize("wrong", [-0.01, np.nan])
 def test_batches_refuse_negative_light(kind, wrong):
-    batch, pictures = gs.Batch(gs.open_camera("phone"), device="numpy"), np.ones((2, 3, 8, 8), kind)
+    batch, pictures = (
+        gs.PictureBatch(gs.open_camera("phone"), device="numpy"),
+        np.ones((2, 3, 8, 8), kind),
+    )
     pictures[1, 2, 3, 4] = wrong
     with pytest.raises(gs.GpusimError, match="0 or more"):
         batch(pictures)
@@ -63,7 +66,7 @@ def test_batches_refuse_negative_light_of_torch():
     torch = pytest.importorskip("torch", reason="torch is not installed")
     pictures = torch.ones(1, 3, 8, 8, requires_grad=True)
     with pytest.raises(gs.GpusimError, match="0 or more"):
-        gs.Batch(gs.open_camera("phone"), device="numpy")(pictures - 2)
+        gs.PictureBatch(gs.open_camera("phone"), device="numpy")(pictures - 2)
 
 
 def test_snr_is_held_above_saturation():
@@ -127,7 +130,7 @@ def test_a_public_name_works_or_says_why_not(name, wrong, tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     try:
         made = getattr(gs, name)(
-            wrong, **({"device": "numpy"} if name in ("Simulator", "Batch") else {})
+            wrong, **({"device": "numpy"} if name in ("Simulator", "PictureBatch") else {})
         )
     except gs.GpusimError as error:
         assert str(error) and "\n" not in str(error) and len(str(error)) <= 500

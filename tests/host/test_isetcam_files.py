@@ -345,7 +345,7 @@ def test_an_optical_image_is_what_a_lens_without_blur_makes_again(saved):
     camera = gs.open_camera("machine-vision").with_(
         f_number=4.0, model="none", relative_illumination="none"
     )
-    made = gs.Simulator(camera, device="numpy").program(scene).output("irradiance")
+    made = gs.Simulator(camera, device="numpy").loop(scene).output("irradiance")
     np.testing.assert_allclose(
         made, irradiance, rtol=2e-6
     )  # float32 on the device, some ten roundings

@@ -95,7 +95,7 @@ def test_samples_that_a_scene_was_made_of_are_not_checked_again(content, monkeyp
     simulator = gs.Simulator(PHONE, device="numpy")
     for form in {type(content), Basis}:
         monkeypatch.setattr(form, "check", lambda *_: pytest.fail("checked again"))
-    assert simulator.program(scene).plan.models
+    assert simulator.loop(scene).plan.models
 
 
 def test_entries_are_probed_as_their_spectra_are():

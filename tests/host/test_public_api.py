@@ -192,5 +192,5 @@ def test_frames_are_numbered_by_first():
                     other.append(f"{name}({parameter})")
     assert not other
     assert {"Simulator.__call__", "Simulator.frames", "Exposure.raw", "Exposure.frames"} <= by_first
-    assert {"Program.raw", "Program.codes", "Program.frame", "Program.output"} <= by_first
-    assert {"Readout.draw", "Batch.__call__", "burst", "bracket", "average"} <= by_first
+    assert {"Loop.raw", "Loop.codes", "Loop.frame", "Loop.output"} <= by_first
+    assert {"Readout.draw", "PictureBatch.__call__", "burst", "bracket", "average"} <= by_first

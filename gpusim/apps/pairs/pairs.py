@@ -87,15 +87,15 @@ class Pairs:
     def _pair(self, number, scene, values):
         simulator = self._simulator
         gain = gain_of(simulator.camera, values.get("iso"))
-        program = simulator.program(scene, values.get("exposure"), gain, plan=self._plan)
-        exposure, account = program.exposure, program.account
-        raw = np.array(simulator.device.numpy(program.raw(seed=self._seed, first=number)))
+        loop = simulator.loop(scene, values.get("exposure"), gain, plan=self._plan)
+        exposure, account = loop.exposure, loop.account
+        raw = np.array(simulator.device.numpy(loop.raw(seed=self._seed, first=number)))
         sensor = exposure.camera.sensor
-        light = program.values["mean of pixels"] * np.float32(sensor.gain_dn_per_electron)
+        light = loop.values["mean of pixels"] * np.float32(sensor.gain_dn_per_electron)
         pair = {"raw": exposure.split_layers(raw), "clean": light + np.float32(sensor.dark_level)}
         if self._pictures:
             pair["rgb"] = np.array(
-                simulator.device.numpy(program.codes(seed=self._seed, first=number))
+                simulator.device.numpy(loop.codes(seed=self._seed, first=number))
             )
         record = {
             "photograph": self._photographs[number // self._each].name,

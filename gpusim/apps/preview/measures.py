@@ -9,21 +9,21 @@ from gpusim.domain.errors import GpusimError
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import Sensor
 from gpusim.measure.sfr import mtf50, sfr
-from gpusim.pipeline.program import Program
+from gpusim.pipeline.loop import Loop
 
 BINS, SOME = 64, 60000  # of the histogram; pixels in it, about
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear RGB, as Rec. 709 and sRGB have it
 SPAN = 4.0  # root mean squares of the error from grey to full colour
 
 
-def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
+def light(loop: Loop, mean, at: tuple[int, int] | None) -> dict:
     """Return the histogram of mean electrons, and the electrons of one pixel.
 
     mean: (rows, cols), or of stacked pixels (C, rows, cols) [e-]. at: row and column, or None. The
     histogram counts some of the pixels, in BINS from 0 to `full well`, by the letters of the
     channels.
     """
-    sensor = program.exposure.camera.sensor
+    sensor = loop.exposure.camera.sensor
     full = float(sensor.saturation)
     counts = {
         letter: np.histogram(np.minimum(values, full), BINS, (0, full))[0].tolist()
@@ -33,7 +33,7 @@ def light(program: Program, mean, at: tuple[int, int] | None) -> dict:
     if at is not None and mean.ndim == 2:
         y, x = (min(max(place, 0), n - 1) for place, n in zip(at, mean.shape, strict=True))
         electrons = float(mean[y, x])
-        noise = RawNoise.of(sensor, program.simulator.readout.averaged)
+        noise = RawNoise.of(sensor, loop.simulator.readout.averaged)
         sigma = float(noise.variance(electrons, temporal=True)) ** 0.5
         numbers = min(
             electrons * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level

@@ -51,7 +51,7 @@ class Producer:
         self._scenes, self._device, self.period = scenes, device, period
         self.frames = NUMBERS if scenes.is_still else scenes.count
         self._built: tuple[State | None, Camera | None] = None, None
-        self._program = None
+        self._loop = None
         self._tolerance: str | None = None
         self._shown: tuple = (None, None)  # number and scene
         self._arriving, self._next = scenes.between(0, 0), -1
@@ -60,22 +60,22 @@ class Producer:
         self._checker: tuple = (None, None)
 
     def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
-        """Return a picture of a state. drafts: see `Program.update`.
+        """Return a picture of a state. drafts: see `Loop.update`.
 
         Raises as camera, light and simulation do.
         """
         begun = time.perf_counter()
-        program = self._update(state, number, drafts)
+        loop = self._update(state, number, drafts)
         show = {
             "rendered": self._render,
             "raw": self._raw,
             "electrons": self._electrons,
             "noise": self._noise,
         }
-        codes = np.ascontiguousarray(show[state.view](program, state.seed, number))
-        account, exposure = program.account, program.exposure
-        plan = program.plan
-        tolerance = None if plan.is_draft else program.simulator.tolerance
+        codes = np.ascontiguousarray(show[state.view](loop, state.seed, number))
+        account, exposure = loop.account, loop.exposure
+        plan = loop.plan
+        tolerance = None if plan.is_draft else loop.simulator.tolerance
         verdict = None if tolerance is None else account.verdict(tolerance)
         facts = {
             "error": account.total.rms,
@@ -143,16 +143,16 @@ class Producer:
         at: row and column of a pixel. part: rows and columns of an edge, or None. Raises as
         `picture`.
         """
-        program = self._update(state, number, drafts=True)
-        exposure = program.exposure
-        found = light(program, exposure.split_layers(self._on_host(exposure.mean)), at)
-        scene = program.scene
+        loop = self._update(state, number, drafts=True)
+        exposure = loop.exposure
+        found = light(loop, exposure.split_layers(self._on_host(exposure.mean)), at)
+        scene = loop.scene
         if self._checker[0] is not scene:
             self._checker = scene, checker_of(scene)
         checker = self._checker[1]
         if part is None and checker is None:
             return found
-        linear, rendering = program.linear(seed=state.seed, first=number)
+        linear, rendering = loop.linear(seed=state.seed, first=number)
         linear = np.moveaxis(self._on_host(linear), 0, -1)
         if part is not None:
             found["edge"] = edge(linear, part)
@@ -171,28 +171,24 @@ class Producer:
             camera = state.build()
             self._built = state, camera
         scene = self._scene_in(state, number)
-        if self._program is None or self._tolerance != state.tolerance:
-            self._program = Simulator(camera, device=self._device, tolerance=state.asked).program(
-                scene
-            )
+        if self._loop is None or self._tolerance != state.tolerance:
+            self._loop = Simulator(camera, device=self._device, tolerance=state.asked).loop(scene)
             self._tolerance = state.tolerance
         changes = {}
-        if camera is not self._program.simulator.camera or (
-            not drafts and self._program.plan.is_draft
-        ):
+        if camera is not self._loop.simulator.camera or (not drafts and self._loop.plan.is_draft):
             changes["camera"] = camera
-        if scene is not self._program.scene:
+        if scene is not self._loop.scene:
             changes["scene"] = scene
         if changes:
-            before = self._program.simulator.camera, self._program.scene
+            before = self._loop.simulator.camera, self._loop.scene
             try:
-                self._program.update(**changes, drafts=drafts)
-                self._program.exposure  # noqa: B018  raises errors now
+                self._loop.update(**changes, drafts=drafts)
+                self._loop.exposure  # noqa: B018  raises errors now
             except Exception:
-                self._program.update(camera=before[0], scene=before[1])
+                self._loop.update(camera=before[0], scene=before[1])
                 self._built = None, None
                 raise
-        return self._program
+        return self._loop
 
     def _scene_in(self, state, number):
         number = 0 if self._scenes.is_still else number % self._scenes.count
@@ -215,29 +211,29 @@ class Producer:
     def _on_host(self, array):
         return on_host(self._device, array)
 
-    def _render(self, program, seed, number):
-        return self._on_host(program.codes(seed=seed, first=number))
+    def _render(self, loop, seed, number):
+        return self._on_host(loop.codes(seed=seed, first=number))
 
-    def _raw(self, program, seed, number):
-        raw = self._on_host(program.raw(seed=seed, first=number))
-        sensor = program.exposure.camera.sensor
+    def _raw(self, loop, seed, number):
+        raw = self._on_host(loop.raw(seed=seed, first=number))
+        sensor = loop.exposure.camera.sensor
         shown = np.clip(
             (raw - np.float32(sensor.black_level)) / (sensor.white_level - sensor.black_level), 0, 1
         )
         return color_mosaic(
-            sensor, program.exposure.split_layers(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5))
+            sensor, loop.exposure.split_layers(np.uint8(255 * shown ** (1 / RAW_GAMMA) + 0.5))
         )
 
-    def _electrons(self, program, seed, number):
-        mean = program.exposure.split_layers(self._on_host(program.exposure.mean))
-        sensor = program.exposure.camera.sensor
+    def _electrons(self, loop, seed, number):
+        mean = loop.exposure.split_layers(self._on_host(loop.exposure.mean))
+        sensor = loop.exposure.camera.sensor
         return color_mosaic(
             sensor, np.uint8(255 * np.clip(mean / sensor.saturation, 0, 1) ** (1 / RAW_GAMMA) + 0.5)
         )
 
-    def _noise(self, program, seed, number):
-        exposure, sensor = program.exposure, program.exposure.camera.sensor
-        raw = exposure.split_layers(self._on_host(program.raw(seed=seed, first=number)))
+    def _noise(self, loop, seed, number):
+        exposure, sensor = loop.exposure, loop.exposure.camera.sensor
+        raw = exposure.split_layers(self._on_host(loop.raw(seed=seed, first=number)))
         mean = exposure.split_layers(self._on_host(exposure.mean))
         expected = np.minimum(
             mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level

@@ -25,13 +25,13 @@ from gpusim.pipeline.batch import one_each
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
-SHAPES = 4  # of batches whose programs are cached
+SHAPES = 4  # of batches whose loops are cached
 GREY = 0.18  # reflectance of the scene for which a plan is made
 LIBRARIES = ("torch", "cupy")  # whose arrays are returned on the device of the input
 PICTURES = ("linear", "xyz", "codes")  # outputs with channels: RGB or XYZ
 
 
-class Batch:
+class PictureBatch:
     """Computes frames of batches of pictures by a camera on a device. Not differentiable.
 
     Channels come first in input and output, (B, C, rows, cols). A frame depends only on its
@@ -41,7 +41,7 @@ class Batch:
     Args:
         camera: Camera.
         device: Name of the device, or a Device.
-        output: Name of `gpusim.pipeline.program.OUTPUTS`, for example "raw", "linear" or "codes".
+        output: Name of `gpusim.pipeline.loop.OUTPUTS`, for example "raw", "linear" or "codes".
         wavelengths: Wavelengths of the channels [nm], shape (L,). None: linear sRGB (3 channels) or
             grey (1).
         light: Light of `illuminant` in which the pictures are reflectances, white 1. None: spectral
@@ -87,7 +87,7 @@ class Batch:
         self._batches: OrderedDict = OrderedDict()
 
     def __repr__(self):
-        return shorten_repr(f"Batch({self.output}, {self.simulator!r})")
+        return shorten_repr(f"PictureBatch({self.output}, {self.simulator!r})")
 
     def __call__(
         self,
@@ -180,7 +180,7 @@ class Batch:
         return Scene(content, self._light, name="picture", **self._options)
 
     def _batch(self, shape):
-        """Return the programs for batches of this shape; the last SHAPES of them are cached."""
+        """Return the loops for batches of this shape; the last SHAPES of them are cached."""
         if shape not in self._batches:
             grey = self._scene(np.full(shape[1:], GREY, np.float32))
             self._batches[shape] = self.simulator.batch(

@@ -11,7 +11,7 @@ distributes the rows.
 
 import numpy as np
 
-from gpusim.apps.tensors.batches import PICTURES, Batch
+from gpusim.apps.tensors.batches import PICTURES, PictureBatch
 from gpusim.domain.errors import BadData
 
 
@@ -19,7 +19,7 @@ class Frames:
     """Adds a column of frames to rows with a picture and a number.
 
     Args:
-        camera: Camera, see `gpusim.Batch`.
+        camera: Camera, see `gpusim.PictureBatch`.
         picture: Column of pictures: linear light (rows, cols, channels) or (channels, rows, cols).
         number: Column of whole numbers, different in each row.
         frame: New column. Its pictures (codes, linear light, XYZ) have the same order of axes.
@@ -27,11 +27,11 @@ class Frames:
         channels_last: Whether the channels of pictures come last.
         exposure_time: Exposure time [s], or the column that has it.
         gain: Analog gain, or the column that has it.
-        settings: Other arguments of `gpusim.Batch`.
+        settings: Other arguments of `gpusim.PictureBatch`.
 
     Raises:
         BadData: When called with rows without these columns.
-        GpusimError: As `gpusim.Batch` does.
+        GpusimError: As `gpusim.PictureBatch` does.
     """
 
     def __init__(
@@ -48,7 +48,7 @@ class Frames:
         **settings,
     ):
         self._batch, self._seed, self._channels_last = (
-            Batch(camera, **settings),
+            PictureBatch(camera, **settings),
             seed,
             channels_last,
         )

@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from gpusim.apps.tensors.batches import PICTURES, Batch, move_axis
+from gpusim.apps.tensors.batches import PICTURES, PictureBatch, move_axis
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.domain.foreign import describe_array
@@ -23,16 +23,16 @@ class Views:
 
     Args:
         cameras: One camera for all views, or cameras by the names of views.
-        settings: Other arguments of `gpusim.Batch`, for example device and output; luminance is the
+        settings: Other arguments of `gpusim.PictureBatch`, for example device and output; luminance is the
             luminance of the value 1 [cd m-2].
 
     Raises:
-        GpusimError: As `gpusim.Batch` does.
+        GpusimError: As `gpusim.PictureBatch` does.
     """
 
     def __init__(self, cameras: Camera | Mapping[str, Camera], **settings):
         named = cameras if isinstance(cameras, Mapping) else {"": cameras}
-        self._batches = {name: Batch(camera, **settings) for name, camera in named.items()}
+        self._batches = {name: PictureBatch(camera, **settings) for name, camera in named.items()}
 
     def __call__(
         self, data: Mapping, *, number: int, seed: int = 0, exposure_time: float | None = None
@@ -43,10 +43,10 @@ class Views:
             data: Rendered data by name.
             number: Number of this call among all calls.
             seed: Seed of the noise, which differs between views according to their names.
-            exposure_time: Exposure time [s], see `gpusim.Batch`.
+            exposure_time: Exposure time [s], see `gpusim.PictureBatch`.
 
         Returns:
-            Frames as of `gpusim.Batch`; pictures (codes, linear light, XYZ) are (rows, cols, 3).
+            Frames as of `gpusim.PictureBatch`; pictures (codes, linear light, XYZ) are (rows, cols, 3).
 
         Raises:
             BadData: If the data has no pictures, or a view has no camera.

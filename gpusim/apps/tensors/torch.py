@@ -14,7 +14,7 @@ from torch.utils.data import Dataset, IterableDataset, get_worker_info
 
 from gpusim.apps.pairs.pairs import Pairs
 from gpusim.apps.pairs.variety import Variety, scene_options
-from gpusim.apps.tensors.batches import Batch
+from gpusim.apps.tensors.batches import PictureBatch
 from gpusim.domain.errors import BadData
 from gpusim.io.scene.scenes import open_scene
 from gpusim.pipeline.simulator import Simulator
@@ -22,21 +22,21 @@ from gpusim.planner.plan import Plan
 
 
 class Frames(torch.nn.Module):
-    """`gpusim.Batch` as a module, without parameters and without gradients.
+    """`gpusim.PictureBatch` as a module, without parameters and without gradients.
 
     Args:
         camera: Camera.
-        settings: Other arguments of `gpusim.Batch`.
+        settings: Other arguments of `gpusim.PictureBatch`.
     """
 
     def __init__(self, camera, **settings):
         super().__init__()
-        self.batch = Batch(camera, **settings)
+        self.batch = PictureBatch(camera, **settings)
 
     def forward(self, pictures: torch.Tensor, **settings) -> torch.Tensor:
         """Return frames of pictures (B, C, rows, cols).
 
-        settings: as of a call of `gpusim.Batch`.
+        settings: as of a call of `gpusim.PictureBatch`.
         """
         return self.batch(pictures.detach(), **settings)
 

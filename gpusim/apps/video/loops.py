@@ -149,7 +149,7 @@ class Loops:
         return replace(camera, optics=optics, processor=processor)
 
     def operation(self, camera: Camera, number: int) -> dict[str, Any]:
-        """Return exposure time [s] and analog gain for `Program.update`; empty if a frame meters."""
+        """Return exposure time [s] and analog gain for `Loop.update`; empty if a frame meters."""
         if self.seconds is None:
             return {}
         total, longest = self.seconds[number], camera.sensor.auto_exposure.longest
@@ -206,7 +206,7 @@ def meter_scenes(
         BadData: If the focus follows a scene without depth.
         GpusimError: As frames of the scenes do.
     """
-    program: Any = None
+    loop: Any = None
     last = max(scenes.count - 1, 1)
     seconds: list[float] = []
     white: list[Any] = []
@@ -221,15 +221,15 @@ def meter_scenes(
                     camera, optics=replace(camera.optics, object_distance=1 / vergence[-1])
                 )
             if lags.exposure is not None or lags.white is not None:
-                program = (
-                    simulator.update(camera).program(scene)
-                    if program is None
-                    else program.update(scene=scene, camera=camera)
+                loop = (
+                    simulator.update(camera).loop(scene)
+                    if loop is None
+                    else loop.update(scene=scene, camera=camera)
                 )
-                exposure = program.exposure
+                exposure = loop.exposure
                 seconds.append(log(exposure.exposure_time * exposure.gain))
                 if lags.white is not None:
-                    values = program.linear(seed=seed, first=number)[1].neutral
+                    values = loop.linear(seed=seed, first=number)[1].neutral
                     white.append(np.log(np.maximum(values, 1e-6)))
             seen()
     return Loops(

@@ -108,12 +108,12 @@ def frames(
         ramps: Settings that change over all frames.
         loops: Settings of the camera's control loops for all frames.
     """
-    program, last = None, max(scenes.count - 1, 1)
+    loop, last = None, max(scenes.count - 1, 1)
     meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
     for first, *wanted in segments:
         if scenes.is_still and not ramps.ranges and loops == NO_LOOPS:
-            program = program or simulator.program(next(scenes.between(0, 1)))
-            yield from (_make_frame(program, number, seed, output) for number in wanted)
+            loop = loop or simulator.loop(next(scenes.between(0, 1)))
+            yield from (_make_frame(loop, number, seed, output) for number in wanted)
             continue
         lead = first - (meters and first > 0)
         with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
@@ -121,21 +121,19 @@ def frames(
                 scene = ramps.scene(shown, number / last)
                 camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
                 operation = loops.operation(camera, number)
-                if number == lead or program is None:
-                    program = simulator.update(camera).program(
-                        scene, meters_late=meters, **operation
-                    )
+                if number == lead or loop is None:
+                    loop = simulator.update(camera).loop(scene, meters_late=meters, **operation)
                 else:
                     other: dict[str, Any] = (
-                        {} if camera is program.simulator.camera else {"camera": camera}
+                        {} if camera is loop.simulator.camera else {"camera": camera}
                     )
-                    program.update(scene=scene, **other, **operation)
+                    loop.update(scene=scene, **other, **operation)
                 # even an unwanted one: the next frame meters it
-                made = _make_frame(program, number, seed, output)
+                made = _make_frame(loop, number, seed, output)
                 if number in wanted:
                     yield made
-        if program is not None:
-            program.judge()
+        if loop is not None:
+            loop.judge()
 
 
 def blurred_frames(
@@ -182,14 +180,14 @@ def blurred_frames(
             yield Made.of(number, values, account, exposure)
 
 
-def _make_frame(program, number, seed, output):
-    """Return a frame of a program."""
-    account, exposure = program.account, program.expose()
+def _make_frame(loop, number, seed, output):
+    """Return a frame of a loop."""
+    account, exposure = loop.account, loop.expose()
     if output is None:
-        values = program.frame(seed=seed, first=number).complete()
+        values = loop.frame(seed=seed, first=number).complete()
     else:
-        values = program.output(output, seed=seed, first=number)
-        values = _on_host(program.simulator, values, output)
+        values = loop.output(output, seed=seed, first=number)
+        values = _on_host(loop.simulator, values, output)
     return Made.of(number, values, account, exposure)
 
 

@@ -81,8 +81,8 @@ def _colour_of(shape, f_number, device):
     simulator = Simulator(camera, device=device, tolerance="1e-3")
     words = f"{shape[1]} x {shape[0]}, f/{f_number:g}"
     try:
-        program = simulator.program(scene, 1.0)
-        frame = program.frame()
+        loop = simulator.loop(scene, 1.0)
+        frame = loop.frame()
     except OutOfRange as refusal:
         return Found(0.0, 1e-3, f"{words} refused: {refusal}")
     places = [
@@ -97,7 +97,7 @@ def _colour_of(shape, f_number, device):
         )
     ]
     exact = np.array(
-        [_pixel_electrons(values, camera, program.plan.weights[0], place) for place in places]
+        [_pixel_electrons(values, camera, loop.plan.weights[0], place) for place in places]
     )
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
     if not frame.report.verdict.is_met:

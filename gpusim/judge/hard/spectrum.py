@@ -257,11 +257,11 @@ def _outside_of_the_likely(device):
     exact = truth.mosaic_of(
         truth.spread(values.astype(float), WAVELENGTHS * 1e-9 * 2.8 / 1.4e-6, weights), CFA
     )
-    program = simulator.program(replace(natural((96, 64)), border="zero"), 1.0)
-    program.frame()
+    loop = simulator.loop(replace(natural((96, 64)), border="zero"), 1.0)
+    loop.frame()
     for words, frame in (
-        ("planned for", simulator.program(lit, 1.0).frame()),
-        ("after a natural scene", program.update(scene=lit).frame()),
+        ("planned for", simulator.loop(lit, 1.0).frame()),
+        ("after a natural scene", loop.update(scene=lit).frame()),
     ):
         report = frame.report
         error = truth.relative(frame.mean.astype(float), exact)

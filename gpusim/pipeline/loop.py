@@ -63,7 +63,7 @@ OUTPUTS = {
     "codes": "display codes (rows, cols, 3)",
 }
 BEFORE_NOISE = ("irradiance", "electrons", "mean", "chip_mean")
-SAME: Any = object()  # an argument of `Program.update` that was not given
+SAME: Any = object()  # an argument of `Loop.update` that was not given
 
 
 def checked_output(name: str) -> str:
@@ -90,10 +90,10 @@ class _Check:
 
 
 class SharedOptics:
-    """A plan and the optical results that several programs share.
+    """A plan and the optical results that several loops share.
 
     Args:
-        device: Device of the programs.
+        device: Device of the loops.
     """
 
     def __init__(self, device: Device):
@@ -103,13 +103,13 @@ class SharedOptics:
         self.checked: tuple = ()  # the last check: a plan, and the versions of the arrays
 
 
-class Program:
+class Loop:
     """Frames of one scene by a Simulator, for previews and loops that change one thing at a time.
 
     A step runs again only if something before it has changed. Another tone curve encodes the frame again, another read
     noise draws and develops it again, another f-number blurs it again. A repeated step writes to the arrays of its
     last run. Results are device arrays: read them before the next call, and do not write to them. A scene is unchanged
-    while it is the same object, so pass a new Scene after writing to its arrays. Use a program in one thread at a time.
+    while it is the same object, so pass a new Scene after writing to its arrays. Use a loop in one thread at a time.
 
     The device measures each scene that the plan was not made for, and the host reads these numbers before the next
     frame. If the plan does not fit, a new one is made. NaN or infinite light raises BadData. Some scenes are also
@@ -122,8 +122,8 @@ class Program:
         gain: Analog gain, next to the sensor's [1].
         meters_late: Expose each frame as metered in the frame before, like a video camera. Then nothing waits for the
             device.
-        before: Plan and optical results shared with other programs. Their simulators have the same tolerance, and
-            their cameras need the same plan. Sharing programs may make outputs, but no frames.
+        before: Plan and optical results shared with other loops. Their simulators have the same tolerance, and
+            their cameras need the same plan. Sharing loops may make outputs, but no frames.
         plan: Plan for every frame, instead of one for the scene. It is never replaced. Its errors are predicted for
             each scene when they are needed.
 
@@ -171,7 +171,7 @@ class Program:
 
     def __repr__(self):
         return shorten_repr(
-            f"Program({self.scene.name} by {self.simulator.camera!r}, {self.simulator.device!r})"
+            f"Loop({self.scene.name} by {self.simulator.camera!r}, {self.simulator.device!r})"
         )
 
     def update(
@@ -182,7 +182,7 @@ class Program:
         exposure_time: float | None = SAME,
         gain: float = SAME,
         drafts: bool = False,
-    ) -> "Program":
+    ) -> "Loop":
         """Change the camera, the scene or the exposure. Arguments that are left out stay as they are.
 
         After an error nothing has changed.
@@ -197,7 +197,7 @@ class Program:
                 drafts plans again.
 
         Returns:
-            This program.
+            This loop.
 
         Raises:
             BadData: No camera or scene, or the given plan does not serve it.
