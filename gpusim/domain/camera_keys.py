@@ -243,19 +243,22 @@ def _curve(value):
     return value  # read later, when the folder and the mosaic are known
 
 
-def _number_or_curve(per_unit=1.0):
-    read_number = _number(per_unit)
-    return lambda value: (read_number if type(value) in (int, float) else _curve)(value)
+def _number_or_curve(value):
+    return _number()(value) if type(value) in (int, float) else _curve(value)
+
+
+def _micrometres_or_curve(value):
+    return _number(MICRO)(value) if type(value) in (int, float) else _curve(value)
 
 
 # [section] key: (field of the domain's class, reader)
 _OPTICS = {
     "focal_length_mm": ("focal_length", _number(_MILLI)),
-    "transmission": ("transmission", _number_or_curve()),
+    "transmission": ("transmission", _number_or_curve),
     "relative_illumination": ("relative_illumination", _illumination),
     "object_distance_m": ("object_distance", _number()),
     "pupil": ("pupil", _pupil),
-    "defocus_um": ("defocus", _number_or_curve(MICRO)),
+    "defocus_um": ("defocus", _micrometres_or_curve),
     "defocus_diopters": ("diopters", _number()),
     "zernike_waves": ("zernike", _numbers_or_lists),
     "zernike_heights": ("heights", _numbers()),
@@ -266,7 +269,7 @@ _OPTICS = {
     "psf": ("psf", _text),
     "distortion": ("distortion", _distortion),
     "calibration": ("calibration", _calibration),
-    "lateral_color": ("lateral_color", _number_or_curve()),
+    "lateral_color": ("lateral_color", _number_or_curve),
 }
 _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(MICRO)),
