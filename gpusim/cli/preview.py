@@ -89,10 +89,17 @@ def preview(request: PreviewRequest) -> int:
             f"{request.host}: anyone who reaches this address may use this preview and its device"
         )
     print(f"http://{request.host}:{request.port}/  (Ctrl+C ends it)", flush=True)
-    quiet: dict = {"show": False, "show_welcome_message": False, "uvicorn_logging_level": "error"}
-    web: dict = {"ws_per_message_deflate": False, "ws_max_size": 2**16}
-    address: dict = {"host": request.host, "port": request.port}
-    ui.run(**address, **quiet, **web, reload=False, title="gpusim")
+    ui.run(
+        host=request.host,
+        port=request.port,
+        reload=False,
+        show=False,
+        show_welcome_message=False,
+        ws_per_message_deflate=False,
+        ws_max_size=2**16,
+        title="gpusim",
+        uvicorn_logging_level="error",
+    )
     return 0
 
 

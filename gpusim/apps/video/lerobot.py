@@ -32,9 +32,17 @@ NEW = {
     "data_path": f"data/{FILE}.parquet",
     "video_path": f"videos/{{video_key}}/{FILE}.mp4",
 }
-COLUMNS = dict.fromkeys(("exposure_time_s", "gain", "predicted_rms"), "float32")  # of a frame
-COLUMNS |= {"seed": "int64", "timestamp": "float32"}
-COLUMNS |= dict.fromkeys(("frame_index", "episode_index", "index", "task_index"), "int64")
+COLUMNS = {  # of a frame
+    "exposure_time_s": "float32",
+    "gain": "float32",
+    "predicted_rms": "float32",
+    "seed": "int64",
+    "timestamp": "float32",
+    "frame_index": "int64",
+    "episode_index": "int64",
+    "index": "int64",
+    "task_index": "int64",
+}
 QUANTILES = 0.01, 0.1, 0.5, 0.9, 0.99
 CODES = 256
 

@@ -30,8 +30,18 @@ from gpusim.io.scene.photo import lift
 from gpusim.io.scene.scenes import picture
 
 SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
-TRANSFERS = dict.fromkeys((1, 6, 14, 15), "bt709") | {4: "gamma2.2", 5: "gamma2.8", 8: "linear"}
-TRANSFERS |= {13: "srgb", 16: "pq", 18: "hlg"}
+TRANSFERS = {
+    1: "bt709",
+    6: "bt709",
+    14: "bt709",
+    15: "bt709",
+    4: "gamma2.2",
+    5: "gamma2.8",
+    8: "linear",
+    13: "srgb",
+    16: "pq",
+    18: "hlg",
+}
 PRIMARIES = {
     1: DISPLAYS["srgb"].primaries,
     9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),

@@ -23,10 +23,11 @@ _LIMITS = {  # unit, least, most; `Sensor` and `Noise` check the others
     "dark_noise": ("e-", 0, 1e12),
     "dark_noise_dn": ("DN", 0, 1e12),
     "sensitivity_threshold": ("photon", 1e-12, 1e12),
+    "snr_max_db": ("dB", -300, 300),
+    "dynamic_range_db": ("dB", -300, 300),
     "rounding": ("", 0, 0.5),
-    **dict.fromkeys(("snr_max_db", "dynamic_range_db"), ("dB", -300, 300)),
-    **dict.fromkeys(("dsnu", "dsnu_row", "dsnu_column"), ("e-", 0, 1e12)),
-    **dict.fromkeys(("prnu", "prnu_row", "prnu_column"), ("%", 0, 30)),
+    **{f"dsnu{part}": ("e-", 0, 1e12) for part in ("", "_row", "_column")},
+    **{f"prnu{part}": ("%", 0, 30) for part in ("", "_row", "_column")},
 }
 LARGEST = 1e300  # limit of floats, for figures that `Sensor` and `Noise` check
 HALF_BAND = 25.0  # [nm]; the standard's light has a full width at half maximum below 50 nm
@@ -113,16 +114,30 @@ def sensor_from_emva1288(
     spectrum, efficiency = _efficiency(quantum_efficiency, wavelength, response)
     noise_squared = _dark_noise_squared(dark_noise, dark_noise_dn, gain, rounding)
     well = full_well(saturation_capacity, prnu / 100)
-    fixed: dict = {"dsnu": _pixel_part("dsnu", figures, rounding, "e-")}
-    fixed |= {"row_dsnu": dsnu_row, "column_dsnu": dsnu_column}
-    fixed["prnu"] = _pixel_part("prnu", figures, rounding, "%") / 100
-    fixed |= {"row_prnu": prnu_row / 100, "column_prnu": prnu_column / 100}
-    current: dict = {"dark_current": dark_current, "doubling": dark_current_doubling}
-    current |= dict.fromkeys(("temperature", "reference_temperature"), dark_current_temperature)
-    noise = Noise(read=math.sqrt(noise_squared), seed=seed, **fixed, **current)
-    converter: dict = {"bits": bits, "black_level": black_level, "gain": gain, "full_well": well}
-    mosaic: dict = {"channels": channels, "cfa": cfa}
-    sensor = Sensor(pixel_pitch=pixel_pitch, qe=spectrum, noise=noise, **converter, **mosaic)
+    sensor = Sensor(
+        pixel_pitch=pixel_pitch,
+        qe=spectrum,
+        channels=channels,
+        cfa=cfa,
+        bits=bits,
+        black_level=black_level,
+        gain=gain,
+        full_well=well,
+        noise=Noise(
+            read=math.sqrt(noise_squared),
+            dark_current=dark_current,
+            temperature=dark_current_temperature,
+            reference_temperature=dark_current_temperature,
+            doubling=dark_current_doubling,
+            seed=seed,
+            dsnu=_pixel_part("dsnu", figures, rounding, "e-"),
+            row_dsnu=dsnu_row,
+            column_dsnu=dsnu_column,
+            prnu=_pixel_part("prnu", figures, rounding, "%") / 100,
+            row_prnu=prnu_row / 100,
+            column_prnu=prnu_column / 100,
+        ),
+    )
     highest = sensor.white_level - black_level
     if gain * saturation_capacity > highest * (1 + rounding):
         raise BadData(

@@ -58,11 +58,15 @@ def read_table(path) -> FilterTable:
             stored.shape(name)
         stored.shape("box", WHOLE, wanted=())
         stored.require_memory(COPIES)
-        fields: dict = {name: stored[name] for name in ARRAYS}
-        fields |= {name: tuple(map(str, stored[name])) for name in ("mosaic", "outputs")}
-        fields |= {"domain": str(stored["domain"]), "box": int(stored["box"])}
-        fields["contrast"] = tuple(stored[name] for name in CONTRAST)
-        fields["detail"] = tuple(stored[name] for name in detail) or None
+        layout = Layout(
+            mosaic=tuple(map(str, stored["mosaic"])),
+            outputs=tuple(map(str, stored["outputs"])),
+            domain=str(stored["domain"]),
+            contrast=tuple(stored[name] for name in CONTRAST),
+            detail=tuple(stored[name] for name in detail) or None,
+            box=int(stored["box"]),
+            **{name: stored[name] for name in ARRAYS},
+        )
         offsets = stored["offsets"] if "offsets" in stored else None
         provenance = str(stored["provenance"])
-        return FilterTable(Layout(**fields), stored["filters"], offsets, provenance)
+        return FilterTable(layout, stored["filters"], offsets, provenance)

@@ -12,8 +12,15 @@ from gpusim.domain.psf import PointSpread
 from gpusim.io.archive import NUMBERS, open_archive, write_archive
 from gpusim.io.files import name_in_errors
 
-SHAPES: dict = {"psf": None, "spacing_um": (), "integrated": ()}  # None: any
-SHAPES |= dict.fromkeys(("wavelengths_nm", "heights", "grid_y", "grid_x"), (None,))
+SHAPES = {
+    "wavelengths_nm": (None,),
+    "psf": None,
+    "spacing_um": (),
+    "integrated": (),
+    "heights": (None,),
+    "grid_y": (None,),
+    "grid_x": (None,),
+}  # None: any
 COPIES = 2.25  # of the numbers: as float64, scaled to sum 1, and whether each is finite
 
 

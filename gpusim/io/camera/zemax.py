@@ -14,9 +14,14 @@ from gpusim.io.files import name_in_errors, read_text, reading
 WHAT = "a text listing of Zemax's Huygens PSF or FFT PSF"
 LONGEST = 2**26  # [byte]: a grid of 2048 x 2048
 COST = 12  # [byte] memory per byte of text: letters, words, numbers
-UNITS = dict.fromkeys(("µm", "μm", "um", "micrometers"), 1e-6) | {"nm": 1e-9}
-UNITS |= {"mm": 1e-3, "millimeters": 1e-3, "cm": 1e-2, "centimeters": 1e-2}
-UNITS |= {"in": 0.0254, "inches": 0.0254, "m": 1.0, "meters": 1.0}
+UNITS = {
+    **dict.fromkeys(("µm", "μm", "um", "micrometers"), 1e-6),
+    "nm": 1e-9,
+    **dict.fromkeys(("mm", "millimeters"), 1e-3),
+    **dict.fromkeys(("cm", "centimeters"), 1e-2),
+    **dict.fromkeys(("in", "inches"), 0.0254),
+    **dict.fromkeys(("m", "meters"), 1.0),
+}
 NUMBER = r"([-+]?\d+(?:\.\d*)?(?:[eE][-+]?\d+)?)"
 UNIT = r"([^\s\d.,()]+)"
 SPACING = re.compile(rf"Data spacing is {NUMBER} {UNIT}\.", re.M)

@@ -21,17 +21,35 @@ from gpusim.pipeline.readout import Readout
 f32 = np.float32
 MEANS = [0, 1e-8, 1e-3, 0.5, 5, 19.9, 20.1, 87, 88, 104, 1e3, 1e5, 1e7, 2.0**24 + 1]
 IDEAL = {"full_well": np.inf, "gain": 1.0, "white_level": 65535}
-_ANALOG: dict = {"analog_gain": 4.0, "analog_offset": 50.0, "black_level": 400}
-SENSOR = replace(open_camera("mono").sensor, bits=16, full_well=1e5, gain=0.5, **_ANALOG)
-SENSOR = replace(SENSOR, noise=Noise())
+SENSOR = replace(
+    open_camera("mono").sensor,
+    bits=16,
+    full_well=1e5,
+    gain=0.5,
+    analog_gain=4.0,
+    analog_offset=50.0,
+    black_level=400,
+    noise=Noise(),
+)
 WITHOUT_CONVERTER = replace(
     SENSOR, bits=32, full_well=1e9, gain=1.0, analog_gain=1.0, analog_offset=0.0, black_level=0
 )
-_HOT: dict = {"hot_pixels": 0.01, "hot_current": 30.0, "dead_pixels": 0.01}
-_TELEGRAPH: dict = {"telegraph_pixels": 0.1, "telegraph": 10.0, "telegraph_switching": 0.3}
-_PATTERNS: dict = {"prnu": 0.02, "row_prnu": 0.01, "dsnu": 1.0, "seed": 4}
-_READOUT: dict = {"read": 2.0, "row": 0.3, "column": 0.2, "dark_current": 3.0}
-CHIP = Noise(**_HOT, **_TELEGRAPH, **_PATTERNS, **_READOUT)
+CHIP = Noise(
+    dark_current=3.0,
+    read=2.0,
+    row=0.3,
+    column=0.2,
+    prnu=0.02,
+    row_prnu=0.01,
+    dsnu=1.0,
+    hot_pixels=0.01,
+    hot_current=30.0,
+    dead_pixels=0.01,
+    telegraph_pixels=0.1,
+    telegraph=10.0,
+    telegraph_switching=0.3,
+    seed=4,
+)
 
 
 def electrons(mean, device, **changed) -> np.ndarray:
@@ -45,16 +63,24 @@ def everything(rows, cols, photon) -> dict:
     The means go from rare photons to 1e8 e-, in random order.
     """
     random = np.random.default_rng(3)
-    inputs: dict = {
+    return {
         "expected": (10.0 ** random.uniform(-4, 8, (rows, cols))).astype(f32),
         "offset": random.normal(0, 1, (rows, cols)).astype(f32),
         "amplitude": np.maximum(random.normal(-5, 10, (rows, cols)), 0).astype(f32),
-    }
-    inputs |= {"dark_electrons": 1e-3, "read_noise": 2.0, "row_noise": 0.3, "column_noise": 0.2}
-    inputs |= {"telegraph_switching": 0.3, "full_well": 1e8, "gain": 0.5, "black_level": 64.0}
-    inputs |= {"white_level": 65535, "photon": photon, "seed": 2**40 + 3, "frame": 9}
-    # one of the samplers with, one without a converter
-    return inputs | {"electrons": photon == "exact"}
+        "dark_electrons": 1e-3,
+        "read_noise": 2.0,
+        "row_noise": 0.3,
+        "column_noise": 0.2,
+        "telegraph_switching": 0.3,
+        "full_well": 1e8,
+        "gain": 0.5,
+        "black_level": 64.0,
+        "white_level": 65535,
+        "photon": photon,
+        "seed": 2**40 + 3,
+        "frame": 9,
+        "electrons": photon == "exact",
+    }  # one of them with, one without a converter
 
 
 def kinds(device) -> list[str]:
