@@ -406,8 +406,9 @@ def test_a_manifest_has_every_option(command):
 
 
 def is_slow(command, name):
-    """Whether a row runs only with the slow tests: options that `simulate` and `plan` share."""
-    return command in ("plan", "video", "pairs") and name in SCENE
+    """Whether a row runs only with the slow tests: options that commands share, and the slowest of `simulate`."""
+    shared = command in ("plan", "video", "pairs") and name in SCENE
+    return shared or (command, name) == ("simulate", "fov")  # test_exr_dialects has it, too
 
 
 EFFECTS = [

@@ -37,6 +37,7 @@ def test_the_double_refuses_what_cuda_refuses(two):
         two[1].wp_device.stream.uses(array.memory)
 
 
+@pytest.mark.slow  # in threads at once, below, by another camera
 def test_every_path_is_the_same_on_the_second_device(two):
     require_equal(*(made_on(device) for device in two))
 

@@ -37,7 +37,7 @@ ENCODED = {
 
 @pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
 @pytest.mark.parametrize("device", ALL_KINDS)
-def test_mirrored_mosaic_gives_the_mirrored_picture(options, device):
+def test_a_mirrored_mosaic_is_the_mirrored_picture_of_best(options, device):
     """No direction and no phase is preferred: the four phases and the transpose are mirror images of each other.
 
     Bit for bit on devices, whose sums do not know left from right; NumPy's do, by rounding.
