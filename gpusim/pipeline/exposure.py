@@ -26,7 +26,7 @@ from gpusim.pipeline.frame import Frame, Parts
 from gpusim.pipeline.imaging import return_none
 from gpusim.pipeline.metering import metering_steps
 from gpusim.pipeline.readout import Readout, flag_pixels
-from gpusim.pipeline.report import Error, Report, StageReport, merge_names
+from gpusim.pipeline.report import Error, Report, StageReport
 from gpusim.pipeline.step import Rate, Step, Values
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.plan import Plan
@@ -555,3 +555,19 @@ class _Shot(Parts):
             self.wall_ms,
             plan.name,
         )
+
+
+def merge_names(order: list[str], names) -> list[str]:
+    """Return an order of names with new names merged into it.
+
+    A new name goes before the next known name of `names`, or else after the one before.
+    """
+    order, names = list(order), list(names)
+    for number, name in enumerate(names):
+        if name not in order:
+            after = next(
+                (order.index(other) for other in names[number + 1 :] if other in order), None
+            )
+            before = order.index(names[number - 1]) + 1 if number else len(order)
+            order.insert(before if after is None else after, name)
+    return order

@@ -82,22 +82,6 @@ class Error:
         )
 
 
-def merge_names(order: list[str], names) -> list[str]:
-    """Return an order of names with new names merged into it.
-
-    A new name goes before the next known name of `names`, or else after the one before.
-    """
-    order, names = list(order), list(names)
-    for number, name in enumerate(names):
-        if name not in order:
-            after = next(
-                (order.index(other) for other in names[number + 1 :] if other in order), None
-            )
-            before = order.index(names[number - 1]) + 1 if number else len(order)
-            order.insert(before if after is None else after, name)
-    return order
-
-
 @dataclass(frozen=True)
 class StageReport:
     """One stage of one frame.
