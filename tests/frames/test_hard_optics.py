@@ -86,7 +86,7 @@ def test_hard_04_energy_of_a_frame_is_kept(device):
         # per phase of the mosaic the sum is that of a quarter of the pixels, not of its channel: kept to the error
         # that tolerance allows, and to 1e-6 of all where the channels' sums are exact
         by = Simulator(CAMERA, device=device, tolerance=Tolerance(rms=tolerance)).plan(scene)
-        comes_back = COMES_BACK if by.far is None else 0
+        comes_back = COMES_BACK if by.find(FarField) is None else 0
         assert abs(mean.sum() / np.sum(exact) - 1) < 1e-2 * tolerance + comes_back
 
 
