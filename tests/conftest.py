@@ -10,7 +10,7 @@ HERE = Path(__file__).parent
 DATA = HERE / "data"
 QUICK = (HERE / "host", HERE / "stages/test_stages.py")  # all that `-m quick` runs, and imports
 
-# Tests start some hundred processes: each would compile the whole package anew where nothing is kept of it.
+# Tests start some hundred processes. Without __pycache__ each of them would compile the whole package again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -52,8 +52,8 @@ ON_ALL_DEVICES = (
 OTHERS = ("warp:cpu", "numpy")
 
 
-# Tests of many combinations that repeat each other: one of so many is in the default run, the others are slow tests. Of
-# each group it is the next one, so that devices or tolerances, which come last, take turns.
+# Tests of many combinations that repeat each other: one in so many is in the default run, the others are slow tests.
+# From one group to the next its place moves on by one, so that devices and tolerances, which vary fastest, take turns.
 ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 3,
     "test_points_land_where_opencv_puts_them": 7,
