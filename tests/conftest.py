@@ -57,7 +57,7 @@ OTHERS = ("warp:cpu", "numpy")
 ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 3,
     "test_points_land_where_opencv_puts_them": 7,
-    "test_a_programs_memory_is_predicted": 4,
+    "test_a_programs_memory_is_predicted": 2,
     "test_a_draft_is_near_what_is_planned_for_the_lens": 4,
     "test_what_has_no_draft_is_planned": 2,
     "test_items_of_several_scenes": 4,
@@ -66,7 +66,7 @@ ONE_OF = {
     "test_a_frame_errs_no_more_than_it_says": 6,
     "test_nothing_stale_is_used": 4,
     "test_what_is_behind_a_change_runs_and_nothing_else": 2,
-    "test_noise_is_turned_on_and_off": 4,
+    "test_noise_is_turned_on_and_off": 2,
     "test_promises_are_kept": 4,
     "test_the_truth_is_that_of_the_brute_force": 2,
     "test_borders_of_the_brute_force": 2,
