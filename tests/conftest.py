@@ -10,7 +10,7 @@ HERE = Path(__file__).parent
 DATA = HERE / "data"
 QUICK = (HERE / "host", HERE / "stages/test_stages.py")  # all that `-m quick` runs, and imports
 
-# Tests start some hundred processes: each would compile the whole package anew where nothing is kept of it.
+# Tests start some hundred processes. Without __pycache__ each of them would compile the whole package again.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -52,12 +52,12 @@ ON_ALL_DEVICES = (
 OTHERS = ("warp:cpu", "numpy")
 
 
-# Tests of many combinations that repeat each other: one of so many is in the default run, the others are slow tests. Of
-# each group it is the next one, so that devices or tolerances, which come last, take turns.
+# Tests of many combinations that repeat each other: one in so many is in the default run, the others are slow tests.
+# From one group to the next its place moves on by one, so that devices and tolerances, which vary fastest, take turns.
 ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 3,
     "test_points_land_where_opencv_puts_them": 7,
-    "test_a_loops_memory_is_predicted": 4,
+    "test_a_loops_memory_is_predicted": 2,
     "test_a_draft_is_near_what_is_planned_for_the_lens": 4,
     "test_what_has_no_draft_is_planned": 2,
     "test_items_of_several_scenes": 4,
@@ -66,7 +66,7 @@ ONE_OF = {
     "test_a_frame_errs_no_more_than_it_says": 6,
     "test_nothing_stale_is_used": 4,
     "test_what_is_behind_a_change_runs_and_nothing_else": 2,
-    "test_noise_is_turned_on_and_off": 4,
+    "test_noise_is_turned_on_and_off": 2,
     "test_promises_are_kept": 4,
     "test_the_truth_is_that_of_the_brute_force": 2,
     "test_borders_of_the_brute_force": 2,

@@ -19,6 +19,7 @@ from gpusim.optics.fusion import Spectra, channel_operator, joint_operator
 from gpusim.optics.highlights import CORE, airy_density, point_kernels
 from gpusim.optics.lengths import transform_lengths
 from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.knobs.farfield import FarField
 
 
 def test_the_kernels_of_points_are_integrals_over_the_pixel():

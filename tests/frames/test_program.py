@@ -289,7 +289,6 @@ def test_no_command_minds_what_its_streams_are(tmp_path):
         FLAT,
         ("plan", *FLAT[1:], "--tolerance", "0.01"),
         ("devices",),
-        ("devices", "--json"),
         ("--version",),
         ("--help",),
         *((name, "--device", "numpy", "--stage", "sensor.flag") for name in ("verify", "bench")),

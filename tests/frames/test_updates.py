@@ -270,8 +270,8 @@ NOISES = {
 }
 
 
-@pytest.mark.parametrize("key", NOISES)
 @pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("key", NOISES)
 def test_noise_is_turned_on_and_off(device, key):
     """Kernels leave out noise that is 0: turned on later, it is there, and off again, it is gone."""
     silent = dict.fromkeys(NOISES, 0.0) | {"photon": "none", "exposure_time_ms": 5}

@@ -90,7 +90,7 @@ def test_what_interpolation_errs_is_predicted(name, tolerance):
         (gs.View((2.2, 0.8), 0.05, 1.1), 1.0),
         (gs.View((0.3, 0.1), 1.0), 2.0),
     ):
-        scene = replace(gs.chart(name, size=(80, 60), samples_per_pixel=ratio), view=view)
+        scene = replace(gs.chart(name, size=(120, 90), samples_per_pixel=ratio), view=view)
         simulator = gs.Simulator(PHONE, device="numpy", tolerance=tolerance)
         exposure = simulator.expose(scene, 0.01)
         truth = true_mean(gs.Simulator, PHONE, scene, exposure.plan, 0.01)

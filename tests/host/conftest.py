@@ -6,7 +6,7 @@ import pytest
 
 from gpusim.backends import opencl, probe, warp
 
-# Half of their time: those of texts and of the package as a whole, and statistics and plans that others test, too.
+# Slower tests, about half of the time: of texts, of the package as a whole, and of statistics and plans.
 NOT_QUICK = {
     "test_a_lens_that_varies_over_a_small_frame_is_not_vouched_for",
     "test_a_users_script_passes_a_strict_type_checker",
