@@ -48,9 +48,18 @@ def develop_merged(
     def develop_at(full):
         """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
         gain = (TOP - PEDESTAL) / full
-        gains = {"gain": gain, "analog_gain": 1.0, "conversion_gain": None, "adc_range": None}
-        levels = {"bits": 16, "black_level": PEDESTAL, "analog_offset": 0.0, "full_well": full}
-        sensor = dataclasses.replace(old, **gains, **levels, noise=chip)
+        sensor = dataclasses.replace(
+            old,
+            bits=16,
+            black_level=PEDESTAL,
+            analog_offset=0.0,
+            gain=gain,
+            analog_gain=1.0,
+            conversion_gain=None,
+            adc_range=None,
+            full_well=full,
+            noise=chip,
+        )
         camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
         numbers = electrons * np.float32(gain) + np.float32(PEDESTAL)
         raw = np.rint(np.clip(numbers, 0, TOP)).astype(np.uint16)
@@ -88,12 +97,23 @@ def develop_merged(
         replacing = dataclasses.replace(processor, defects=defects)
         models = Developer(dataclasses.replace(camera, processor=replacing), device).models()
         first["processor.defects"] = models["processor.defects"] + ", frame by frame"
-    both = {**ms, **ms_developed}
-    taken = {name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in both}
+    taken = {
+        name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in {**ms, **ms_developed}
+    }
     report = _replace_stages(frame.report, first | stages | developer.models(), taken)
-    values = electrons, raw, linear, rgb
-    how = report, frame.blur, shading
-    return Frame(camera, float(exposure_time), rescaled, *values, *how, averaged=None)
+    return Frame(
+        camera,
+        float(exposure_time),
+        rescaled,
+        electrons,
+        raw,
+        linear,
+        rgb,
+        report,
+        frame.blur,
+        shading,
+        averaged=None,
+    )
 
 
 def host_pictures(device, developer, shown):

@@ -186,7 +186,8 @@ def expose_motion(
         if moving:  # the path of an actor at the camera's magnification, and the camera's
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         wrong = probes.between(step, step * (count - 1) * seconds / whole)
-        tolerance, is_enough = simulator.tolerance, step <= STEP
+        tolerance = simulator.tolerance
+        is_enough = step <= STEP
         if tolerance is not None:
             is_enough = SAFETY * wrong.ratio(tolerance) <= ENOUGH
         if instants or not step or is_enough:
@@ -207,8 +208,7 @@ def expose_motion(
     bounds = {"view": probes.resampling_error(between, ratio), "shutter": wrong}
     account = exposure.plan.account
     account = dataclasses.replace(account, bounds=account.bounds | bounds)
-    made = dataclasses.replace(exposure.plan, account=account)
-    return dataclasses.replace(exposure, plan=made)
+    return dataclasses.replace(exposure, plan=dataclasses.replace(exposure.plan, account=account))
 
 
 def largest_step(scene, motion, times):
