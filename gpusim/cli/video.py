@@ -217,14 +217,8 @@ def video(request: VideoRequest) -> int:
         loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
     is_blurred = request.blur or request.flicker or request.pwm
-    make = partial(
-        blurred_frames if is_blurred else frames,
-        simulator,
-        scenes,
-        seed=request.seed,
-        ramps=request.ramp,
-        loops=loops,
-    )
+    generator: Any = blurred_frames if is_blurred else frames
+    make = partial(generator, simulator, scenes, seed=request.seed, ramps=request.ramp, loops=loops)
     with keep_manifest(manifest, made, target.words, target.is_empty):
         written = target.write(make, own)
         return _report(target, written, own, simulator.tolerance, Plans(manifest))

@@ -336,12 +336,10 @@ class Page:
             if only in CONTROLS:
                 return
             self._show("luminance", state.luminance)
-            self._fields["live"].value, self._fields["light"].value = (
-                state.is_live,
-                state.light or OWN,
-            )
             for name in ("view", "camera", "tolerance"):
                 self._fields[name].value = getattr(state, name)
+            self._fields["live"].value = state.is_live
+            self._fields["light"].value = state.light or OWN
             for name in ("swap", "no B", "split"):
                 self._fields[name].visible = state.against is not None
             self._fields["split"].value = PLACES * state.split
@@ -409,13 +407,17 @@ class Page:
                 f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
                 f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB"
             )
-        words = "ColorChecker: mean Delta E 2000 {difference:.2f}" if "difference" in found else ""
-        self._fields["difference"].text = words.format(**found)
+        difference = ""
+        if "difference" in found:
+            difference = f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
+        self._fields["difference"].text = difference
         edge = found.get("edge", {})
-        words = "MTF50 {mtf50:.3f} cycle/pixel, edge at {angle:.1f} degrees"
-        has_edge = "mtf50" in edge
-        self._fields["edge"].text = words.format(**edge) if has_edge else edge.get("why", "")
-        self._fields["response"].content = response(edge) if has_edge else ""
+        text, curve = edge.get("why", ""), ""
+        if "mtf50" in edge:
+            text = f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees"
+            curve = response(edge)
+        self._fields["edge"].text = text
+        self._fields["response"].content = curve
 
     # saved files
 
