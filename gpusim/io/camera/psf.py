@@ -63,8 +63,12 @@ def write_psf(path: str | PathLike, spread: PointSpread) -> None:
     Raises:
         BadFile: if the file cannot be written.
     """
-    arrays: dict = {"wavelengths_nm": spread.wavelengths, "psf": spread.values}
-    arrays |= {"spacing_um": spread.spacing * 1e6, "integrated": spread.integrated}
+    arrays: dict = {
+        "wavelengths_nm": spread.wavelengths,
+        "psf": spread.values,
+        "spacing_um": spread.spacing * 1e6,
+        "integrated": spread.integrated,
+    }
     if spread.heights is not None:
         arrays["heights"] = spread.heights
     if spread.grid is not None:
