@@ -125,8 +125,11 @@ def read_samples(path) -> np.ndarray:
             raise BadFile(path, f"too large: {error}") from error
         cols, rows = image.size
         if image.format == "JPEG" and cols * rows > PIXELS_PER_BYTE * len(data):
-            what = f"a JPEG of {cols} x {rows} pixels needs more than {len(data)} bytes"
-            raise BadFile(path, f"truncated or damaged: {what}")
+            raise BadFile(
+                path,
+                f"truncated or damaged: a JPEG of {cols} x {rows} pixels needs more than {len(data)} "
+                "bytes",
+            )
         require_memory(f"{path}: picture of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
         samples = _decode(path, data, image)
     return samples if samples.ndim == 3 else samples[..., None]

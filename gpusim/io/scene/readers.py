@@ -112,8 +112,8 @@ def _tiff(path, white, wavelengths=None, kind=None, scale=None):
         values = read_stack(path, len(wavelengths), checked_scale(scale))
         return scene_of_planes(path, white, wavelengths, values, checked_kind(kind))
     if kind is not None or scale is not None:
-        given = ("scale", scale) if kind is None else ("kind", kind)
-        raise OutOfRange(*given, "with wavelengths only")
+        name, value = ("scale", scale) if kind is None else ("kind", kind)
+        raise OutOfRange(name, value, "with wavelengths only")
     return _photo(path, white)
 
 
