@@ -49,7 +49,7 @@ def require_truth(camera, scene):
         what = "depth beside distortion, a calibration or measured point spreads"
         raise OutOfRange("verify", what, "a scene without depth, or a lens without them")
     if optics.varies and has_psf and any(axis := axis_of(camera, scene.shape)):
-        off = "{:.3g}, {:.3g} pixels off the frame's middle".format(*axis)
+        off = f"{axis[0]:.3g}, {axis[1]:.3g} pixels off the frame's middle"
         what = f"point spreads of field points, with the axis {off}"
         raise OutOfRange("verify", what, "an axis in the middle")
 
@@ -100,12 +100,12 @@ def _measured(spread, wavelength, pitch):
     along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
 
     def transfer(fy, fx):
-        to = []
-        for f, at in zip((fy, fx), along, strict=True):
-            waves = np.exp(-2j * np.pi * step * np.outer(f, at))
+        def waves(f, at):
+            found = np.exp(-2j * np.pi * step * np.outer(f, at))
             # a frequency of exactly half the rate counts half for either sign
-            to.append(waves if spread.integrated else waves * _passed(np.abs(f) * step)[:, None])
-        return to[0] @ values @ to[1].T
+            return found if spread.integrated else found * _passed(np.abs(f) * step)[:, None]
+
+        return waves(fy, along[0]) @ values @ waves(fx, along[1]).T
 
     return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
 
