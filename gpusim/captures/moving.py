@@ -203,7 +203,8 @@ def expose_motion(
         times = times[:1]
     scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
     exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
-    ratio, views = scene.samples_per_pixel, [one.view for one in scenes]
+    ratio = scene.samples_per_pixel
+    views = [one.view for one in scenes]
     between = next((view for view in views if not view.is_whole(ratio)), views[0])
     bounds = {"view": probes.resampling_error(between, ratio), "shutter": wrong}
     account = exposure.plan.account

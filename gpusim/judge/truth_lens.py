@@ -37,7 +37,8 @@ def require_truth(camera, scene):
         OutOfRange: It does not; the message says what is allowed.
     """
     optics = camera.optics
-    has_psf, samples = optics.psf is not None, f"{scene.samples_per_pixel:g} samples per pixel"
+    has_psf = optics.psf is not None
+    samples = f"{scene.samples_per_pixel:g} samples per pixel"
     if scene.samples_per_pixel != 1 and optics.varies:
         what = f"{samples} with a blur that varies over the field"
         raise OutOfRange("verify", what, "1 sample per pixel")
@@ -154,7 +155,8 @@ class _PupilField(Field):
         for count in (LEAST_WAVELENGTHS, 2 * LEAST_WAVELENGTHS - 1, 4 * LEAST_WAVELENGTHS - 3):
             if count >= len(known):
                 break
-            nodes, degree = np.linspace(known[0], known[-1], count), min(DEGREE, count - 1)
+            nodes = np.linspace(known[0], known[-1], count)
+            degree = min(DEGREE, count - 1)
             share = scipy.interpolate.make_interp_spline(nodes, np.eye(count), degree)
             between = (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2
             tried = known[np.abs(known[:, None] - between).argmin(axis=0)]

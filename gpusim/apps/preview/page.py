@@ -396,10 +396,13 @@ class Page:
         if session.shown is None or session.error:
             return
         part = self._canvas.edge if self._canvas.measures else None
-        number, at = session.shown.number, self._canvas.at
         try:
             found = await session.compute(
-                session.producer.statistics, session.state, number, at, part
+                session.producer.statistics,
+                session.state,
+                session.shown.number,
+                self._canvas.at,
+                part,
             )
         except Exception:
             return  # the picture says it, also of a device that fails

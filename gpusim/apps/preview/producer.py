@@ -240,8 +240,10 @@ def _encode(light):
 def _beside(codes, others, split):
     """Return one picture on the left of a line, and another on its right."""
     if codes.shape != others.shape:
-        what = f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels"
-        raise BadData(f"{what}; wanted {codes.shape[1]}x{codes.shape[0]}, as this one's has")
+        raise BadData(
+            f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
+            f"{codes.shape[1]}x{codes.shape[0]}, as this one's has"
+        )
     at = round(split * codes.shape[1])
     codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
     codes[:, max(at - 1, 0) : at + 1] = 255

@@ -123,10 +123,13 @@ class Episode(EncodedFile):
             name for name in here.keys() | there.keys() if here.get(name) != there.get(name)
         )
         if others:
-            own = ", ".join(f"{name} {here.get(name, 'none')}" for name in others)
+            ours = ", ".join(f"{name} {here.get(name, 'none')}" for name in others)
             theirs = ", ".join(f"{name} {there.get(name, 'none')}" for name in others)
-            what = f"features of an episode in {self._root}"
-            raise OutOfRange(what, own, f"the features of the others, {theirs}")
+            raise OutOfRange(
+                f"features of an episode in {self._root}",
+                ours,
+                f"the features of the others, {theirs}",
+            )
         tables = sorted(self._root.glob("meta/episodes/*/*.parquet"))
         with reading(self._root / "meta/episodes", "tables of episodes"):
             rows = [row for table in tables for row in _read_rows(table, "episode_index")]
@@ -173,7 +176,8 @@ class Episode(EncodedFile):
         if not self._is_complete():
             return False
         last: dict[str, Any] = self._before[-1] if self._before else {}
-        info, videos = self._info, f"videos/{self._key}"
+        info = self._info
+        videos = f"videos/{self._key}"
         places = {
             name: _following(last, name, info["chunks_size"])
             for name in ("data", videos, "meta/episodes")
@@ -278,8 +282,8 @@ class Episode(EncodedFile):
         for name, one in columns.items():
             found = _statistics(one, np.ones(len(one)))
             statistics[name] = {which: [value] for which, value in found.items()}
-        codes, counts = np.arange(CODES) / (CODES - 1), sum(one for _, one in notes)
-        channels = [_statistics(codes, count) for count in counts]
+        codes = np.arange(CODES) / (CODES - 1)
+        channels = [_statistics(codes, count) for count in sum(one for _, one in notes)]
         statistics[self._key] = {
             which: [[[one[which]]] for one in channels] for which in channels[0]
         }

@@ -83,8 +83,12 @@ class Film:
                 raise BadFile(path, "has no pictures; wanted a video")
             stream = container.streams.video[0]
             context = stream.codec_context
-            curve, primaries = context.color_trc, context.color_primaries
-            tags = curve, primaries, context.colorspace, context.color_range
+            tags = (
+                context.color_trc,
+                context.color_primaries,
+                context.colorspace,
+                context.color_range,
+            )
             self._format, rows = context.pix_fmt or "", context.height
             self.count = stream.frames or self._count_frames(container, stream)
         if not self.count:
@@ -132,9 +136,11 @@ class Film:
         curve, primaries, matrix, extent = tags
         if transfer is None and curve not in TRANSFERS:
             tag = "not tagged" if curve in UNTAGGED else f"tag {curve}"
-            what = f"its transfer function is {tag}, so the meaning of its codes is unknown"
             known = " or ".join(sorted(set(TRANSFERS.values())))
-            self._refuse(f"{what}; give --transfer {known}")
+            self._refuse(
+                f"its transfer function is {tag}, so the meaning of its codes is unknown; give "
+                f"--transfer {known}"
+            )
         if primaries not in (*UNTAGGED, *PRIMARIES):
             self._refuse(
                 f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3"

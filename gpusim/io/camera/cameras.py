@@ -309,8 +309,9 @@ def _apply_calibration(path, fields, sensor):
         raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
     if not isinstance(calibration, Calibration):
         with _name_key_in_errors(path, "[optics] calibration"):
-            file, camera = path.parent / calibration["file"], calibration.get("camera")
-            calibration = read_calibration(file, camera)
+            calibration = read_calibration(
+                path.parent / calibration["file"], calibration.get("camera")
+            )
     # fx is the image distance of the plane in focus: 1/f = 1/b + 1/g
     if "focal_length" not in fields:
         image_distance = calibration.fx * sensor["pixel_pitch"]
@@ -354,8 +355,9 @@ def _efficiency(path, sensor):
     spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
     used = set("".join(sensor.get("cfa", Sensor.cfa)))
     if not used <= set(letters):
-        what = f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}"
-        raise BadFile(path, f"{what}; it has {', '.join(letters) or 'one without a letter'}")
+        missing = ", ".join(sorted(used - set(letters)))
+        known = ", ".join(letters) or "one without a letter"
+        raise BadFile(path, f"[sensor] qe has no curve for {missing}; it has {known}")
     channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
     rows = [letters.index(letter) for letter in channels]
     product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)

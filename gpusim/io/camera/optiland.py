@@ -128,7 +128,8 @@ def _trace_psf(optic, field, wavelength, spacing, samples, rays):
         pixel_pitch=spacing * 1e3 * (samples - 1) / samples,
     )
     x, y = (float(np.squeeze(place)) / 1e3 for place in (found.cx, found.cy))
-    centre, half = _chief(optic, field, wavelength), (samples - 1) / 2
+    centre = _chief(optic, field, wavelength)
+    half = (samples - 1) / 2
     middle = half + (centre[1] - y) / spacing, half + (centre[0] - x) / spacing
     values = np.asarray(found.psf, np.float64)
     return Traced(float(wavelength), values, spacing, middle, centre, field)

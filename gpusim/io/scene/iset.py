@@ -120,8 +120,9 @@ class _File:
             content, light = self.split_light(content, value.get("illuminant"))
             distances = value.get("depthMap") if not no_depth else None
         if distances is not None:
-            along, numbers = "ray" if ray else "axis", distances.numbers()
-            distances = axial_depth(self.path, "depthMap", numbers, along, ray)
+            distances = axial_depth(
+                self.path, "depthMap", distances.numbers(), "ray" if ray else "axis", ray
+            )
         return self.make_scene(content, light, value, value.get("wAngular"), distances)
 
     def per_irradiance(self, value):
@@ -173,8 +174,14 @@ class _File:
 
     def make_scene(self, content, light, owner, degrees, depth=None):
         fov = None if degrees is None else math.radians(self.single(degrees))
-        name, notes = self.text(owner, "name", self.path.stem), tuple(self.notes)
-        return Scene(content, light, fov=fov, depth=depth, name=name, notes=notes)
+        return Scene(
+            content,
+            light,
+            fov=fov,
+            depth=depth,
+            name=self.text(owner, "name", self.path.stem),
+            notes=tuple(self.notes),
+        )
 
     def cube(self, owner, key, wavelengths):
         return Cube(wavelengths, self.planes(owner, key, len(wavelengths)))

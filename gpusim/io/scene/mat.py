@@ -94,8 +94,11 @@ class _Root(Value):
         if packed:
             kind, unpacked = struct.unpack(f"{self.order}II", self._inflate(start, length, 8))
             if kind != MATRIX or unpacked > LARGEST_RATIO * length:
-                what = f"{unpacked} bytes of type {kind} cannot be packed in {length}"
-                raise BadFile(path, f"truncated or damaged at byte {start}: {what}")
+                raise BadFile(
+                    path,
+                    f"truncated or damaged at byte {start}: {unpacked} bytes of type {kind} cannot be "
+                    f"packed in {length}",
+                )
         wanted = min(unpacked if packed else length, most)
         require_memory(f"{path}: a variable", wanted)
         if not packed:

@@ -41,7 +41,8 @@ def read_photo(path) -> Basis | Materials:
         if linear.shape[-1] == 1:
             shading = linear[..., 0].astype(np.float32)
             wavelengths = srgb_primaries().wavelengths
-            ids, neutral = np.zeros(shading.shape, np.uint8), np.ones((1, len(wavelengths)))
+            ids = np.zeros(shading.shape, np.uint8)
+            neutral = np.ones((1, len(wavelengths)))
             return Materials(wavelengths, ids, shading, neutral)
         return lift(np.moveaxis(linear, -1, 0))
 

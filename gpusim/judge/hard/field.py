@@ -85,7 +85,8 @@ def _colour_of(shape, f_number, device):
     except OutOfRange as refusal:
         return Found(0.0, 1e-3, f"{words} refused: {refusal}")
     places = [(int(shape[0] * v), int(shape[1] * u)) for v, u in COLOUR_PLACES]
-    weights, report = loop.plan.weights[0], frame.report
+    weights = loop.plan.weights[0]
+    report = frame.report
     exact = np.array([_pixel_electrons(values, camera, weights, place) for place in places])
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
     if not report.verdict.is_met:
