@@ -22,7 +22,16 @@ from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.simulator import Simulator
 
 # fields of a sensor that frames of one camera have in common
-SAME = "channels", "cfa", "stacked", "bits", "black_level", "pixel_pitch", "full_well", "noise"
+COMMON_FIELDS = (
+    "channels",
+    "cfa",
+    "stacked",
+    "bits",
+    "black_level",
+    "pixel_pitch",
+    "full_well",
+    "noise",
+)
 
 
 def merge_bracket(
@@ -280,7 +289,7 @@ def _check_frames(function, frames, most) -> list[Frame]:
                 f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
                 f"wanted uint16 of the shape of frame 0, {np.shape(first.raw)}"
             )
-        for key in SAME:
+        for key in COMMON_FIELDS:
             if getattr(sensor, key) != getattr(first.camera.sensor, key):
                 raise BadData(
                     f"{function}: frame {number} is of another camera than frame 0: sensor.{key} differs"

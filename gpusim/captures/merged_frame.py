@@ -13,7 +13,7 @@ PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
 FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
 COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
 REACH = 16  # [pixel] reach of demosaicking
-# noise that merged values have no more, or as read noise
+# noise of one frame: merged values have all that is left of it as read noise
 MERGED_NOISE = "dark_current", "reset", "adc", "row", "column", "dsnu", "row_dsnu", "column_dsnu"
 
 
@@ -41,8 +41,9 @@ def develop_merged(
     """
     device, old, processor_before = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
-    merged = dict.fromkeys(MERGED_NOISE, 0.0) | {"read": dark_noise * averaged**0.5}
-    chip = dataclasses.replace(old.noise, **merged)
+    chip = dataclasses.replace(
+        old.noise, read=dark_noise * averaged**0.5, **dict.fromkeys(MERGED_NOISE, 0.0)
+    )
     processor = dataclasses.replace(processor_before, defects="none", shading=shading is not None)
 
     def develop_at(full):
@@ -125,12 +126,14 @@ def host_pictures(device, developer, shown):
 
 def _replace_stages(report, processing, ms):
     """Return a frame's report with other stages between its sensor and its colours."""
-    before, after = [], []
-    for stage in report.stages:
-        if stage.stage in ("processor.color", "display.encode"):
-            after.append(dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0)))
-        elif not stage.stage.startswith(("processor.", "display.")):
-            before.append(stage)
+    before = [
+        stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
+    ]
+    after = [
+        dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
+        for stage in report.stages
+        if stage.stage in ("processor.color", "display.encode")
+    ]
     stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
     return dataclasses.replace(report, stages=[*before, *stages, *after])
 

@@ -346,9 +346,14 @@ def _open_encoded(request, path, simulator, scenes, segments):
             "one mosaic of up to 16 bits; .npz files hold any",
         )
     shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
-    tone, quality = camera.processor.tone, request.quality
-    encoder = Encoder(codec, shape, request.fps, camera.display, tone, quality)
-    made: dict[str, Any] = {"fps": str(request.fps), "codec": request.codec, "quality": quality}
+    encoder = Encoder(
+        codec, shape, request.fps, camera.display, camera.processor.tone, request.quality
+    )
+    made: dict[str, Any] = {
+        "fps": str(request.fps),
+        "codec": request.codec,
+        "quality": request.quality,
+    }
     if is_episode:
         task = request.lerobot
         episode = Episode(path, task, camera.name, request.seed, encoder, segments)

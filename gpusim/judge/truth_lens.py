@@ -298,8 +298,9 @@ class Splines:
             at, weights = [], []
             for places in self.axes:
                 cell = min(int(share * (len(places) - 1)), len(places) - 2)
-                at.append((places[cell] + places[cell + 1]) / 2)
-                weights.append(self._basis(places, np.array(at[-1:]))[0])
+                middle = (places[cell] + places[cell + 1]) / 2
+                at.append(middle)
+                weights.append(self._basis(places, np.array([middle]))[0])
             found = np.einsum("i,j,ijab->ab", *weights, self.table, optimize=True)
             worst = max(worst, float(np.abs(found - kernel(*at)).max()))
         return worst

@@ -64,12 +64,12 @@ class Codec:
 LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
 PART = ".nut"  # suffix of a segment's file, a container for any encoder
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
-BOTH = (".mp4", ".mkv")
+CONTAINERS = (".mp4", ".mkv")
 X264 = ("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")
 X265 = ("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")
 CODECS = {
-    "h264": Codec("libx264", "codes", "yuv420p", "rgb24", BOTH, X264, "crf"),
-    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", BOTH, X265, "crf"),
+    "h264": Codec("libx264", "codes", "yuv420p", "rgb24", CONTAINERS, X264, "crf"),
+    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", CONTAINERS, X265, "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
 }
