@@ -191,8 +191,9 @@ class Producer:
         if self._shown[0] != number:
             if number != self._next:
                 self._arriving = self._scenes.between(number, self._scenes.count)
-                self._next = number  # also if the scene cannot be read
-            self._shown, self._next = (number, next(self._arriving)), number + 1
+            self._next = -1  # if the scene cannot be read, the next request starts anew
+            self._shown = number, next(self._arriving)
+            self._next = number + 1
         own = self._shown[1]
         if state.light is None and state.luminance is None:
             return own
