@@ -52,8 +52,9 @@ def bracket(
     for number, factor in enumerate(factors):
         exposure = change_exposure_time(simulator, metered, metered.exposure_time * float(factor))
         if number == 0:
-            ms, wall_ms = metered.ms | exposure.ms, metered.wall_ms + exposure.wall_ms
-            exposure = dataclasses.replace(exposure, ms=ms, wall_ms=wall_ms)
+            exposure = dataclasses.replace(
+                exposure, ms=metered.ms | exposure.ms, wall_ms=metered.wall_ms + exposure.wall_ms
+            )
         frames.append(exposure.frame(seed=seed, first=first + number))
     return frames
 
@@ -82,6 +83,6 @@ def change_exposure_time(
     with device.timed() as ms:
         rows = device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1]))
         mean = chip(rows, scale=exposure_time / exposure.exposure_time, device=device)
-        mean, how = device.reshape(mean, shape), (exposure_time, exposure.gain)
-        changed = expose_mean(simulator, exposure.plan, mean, *how)
+        mean = device.reshape(mean, shape)
+        changed = expose_mean(simulator, exposure.plan, mean, exposure_time, exposure.gain)
     return dataclasses.replace(changed, ms=dict(ms), wall_ms=1e3 * (perf_counter() - start))

@@ -75,6 +75,12 @@ def average(
     Raises:
         OutOfRange: if `count`, `seed` or `first` is out of range.
     """
-    light = exposure.chip_mean, exposure.exposure_time
-    how = {"gain": exposure.gain, "seed": seed, "first": first}
-    return exposure.split_layers(simulator.readout.average(*light, count, **how))
+    mean = simulator.readout.average(
+        exposure.chip_mean,
+        exposure.exposure_time,
+        count,
+        gain=exposure.gain,
+        seed=seed,
+        first=first,
+    )
+    return exposure.split_layers(mean)

@@ -173,9 +173,11 @@ class _Trials:
             loop.update(exposure_time=exposure.exposure_time, gain=exposure.gain)
             # the middle channel
             raw = raw[len(raw) // 2] if simulator.camera.sensor.stacked else raw
-            operated, how = exposure.camera.sensor, (self._period, exposure.exposure_time)
-            raw = raw[self._region].astype(float) - operated.dark_level
-            self.found[vergence] = _contrast(raw, operated, *how, simulator.readout.averaged)
+            sensor = exposure.camera.sensor
+            light = raw[self._region].astype(float) - sensor.dark_level
+            self.found[vergence] = _contrast(
+                light, sensor, self._period, exposure.exposure_time, simulator.readout.averaged
+            )
         return self.found[vergence][0]
 
     def require_rise(self):
@@ -220,7 +222,8 @@ def _contrast(raw, sensor, period, exposure_time, averaged):
     dark = sensor.noise.operating_dark_current * exposure_time  # included in the level
     noise = gain**2 * RawNoise.of(sensor, averaged).difference(level / gain, level / gain - dark)
     down, across = period
-    differences = (raw[down:] - raw[:-down]).ravel(), (raw[:, across:] - raw[:, :-across]).ravel()
-    squares = np.concatenate(differences) ** 2
+    rows = (raw[down:] - raw[:-down]).ravel()
+    cols = (raw[:, across:] - raw[:, :-across]).ravel()
+    squares = np.concatenate([rows, cols]) ** 2
     error = squares.std() / np.sqrt(squares.size)
     return float((squares.mean() - noise) / level**2), float(error / level**2)

@@ -22,7 +22,16 @@ from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.simulator import Simulator
 
 # fields of a sensor that frames of one camera have in common
-SAME = "channels", "cfa", "stacked", "bits", "black_level", "pixel_pitch", "full_well", "noise"
+COMMON_FIELDS = (
+    "channels",
+    "cfa",
+    "stacked",
+    "bits",
+    "black_level",
+    "pixel_pitch",
+    "full_well",
+    "noise",
+)
 
 
 def merge_bracket(
@@ -83,18 +92,20 @@ def merge_bracket(
             f"{times[0]:.4g} s; take a shorter exposure"
         )
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
-    device, has_photon_noise = simulator.device, sensor.noise.photon != "none"
+    device = simulator.device
+    has_photon_noise = sensor.noise.photon != "none"
     with device.timed() as ms:
         raw = _replace_defects(simulator, frames)
         rates = []
         for layer in raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1):
             stack = device.array(np.ascontiguousarray(layer), np.uint16)
-            how = {"period": period, "photon": has_photon_noise, "device": device}
-            rates.append(device.numpy(merge(stack, **tables, **how)))
+            rate = merge(stack, **tables, period=period, photon=has_photon_noise, device=device)
+            rates.append(device.numpy(rate))
         rate = np.stack(rates).reshape(raw.shape[1:])
     # [e- in the longest exposure]
     dark_noise = float((np.square(times / longest) / tables["floor"]).sum() ** -0.5)
-    shown, span = frames[len(frames) // 2], f"{times.min():.4g} .. {longest:.4g} s"
+    shown = frames[len(frames) // 2]
+    span = f"{times.min():.4g} .. {longest:.4g} s"
     model = f"{len(frames)} exposures, {span}, to rates, weighted by inverse variance"
     return develop_merged(
         simulator,
@@ -153,11 +164,18 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
     checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
     # fixed offsets count as noise, because frames move
     noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise
-    how = {"reference": reference, "period": period, "device": device}
     with device.timed() as ms:
         raw = device.array(_replace_defects(simulator, frames), np.uint16)
-        displacement = align(raw, **how)
-        mean = average(raw, displacement, noise=noise, black_level=sensor.dark_level, **how)
+        displacement = align(raw, reference=reference, period=period, device=device)
+        mean = average(
+            raw,
+            displacement,
+            reference=reference,
+            period=period,
+            noise=noise,
+            black_level=sensor.dark_level,
+            device=device,
+        )
         numbers = device.numpy(mean)
     dark = sensor.noise.operating_dark_current * times[0]
     electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain)
@@ -223,14 +241,16 @@ def merge_flash(
             reach=reach,
             device=device,
         )
-    same, no_limit = np.eye(3), np.full(3, np.inf)
-    as_is = dataclasses.replace(ambient.rendering, display_from_camera=same, ceiling=no_limit)
+    as_is = dataclasses.replace(
+        ambient.rendering, display_from_camera=np.eye(3), ceiling=np.full(3, np.inf)
+    )
     developer = Developer(ambient.camera, device)
     shown = developer.apply_color(device.array(planes), as_is)
     linear, rgb = host_pictures(device, developer, shown)
     *stages, encoding = ambient.report.stages
-    taken = ms.get("processor.flash", 0.0)
-    by_flash = StageReport("processor.flash", "denoised by a flash picture", taken)
+    by_flash = StageReport(
+        "processor.flash", "denoised by a flash picture", ms.get("processor.flash", 0.0)
+    )
     report = dataclasses.replace(ambient.report, stages=[*stages, by_flash, encoding])
     return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
 
@@ -259,14 +279,17 @@ def _check_frames(function, frames, most) -> list[Frame]:
                 f"{function}: frame {number} has no converter (float raw values); wanted sensor.bits 1 .. 16"
             )
         if not 0 < frame.exposure_time < np.inf:
-            name, found = f"exposure_time of frame {number}", f"{frame.exposure_time} s"
-            raise OutOfRange(name, found, "0 < exposure_time < inf")
+            raise OutOfRange(
+                f"exposure_time of frame {number}",
+                f"{frame.exposure_time} s",
+                "0 < exposure_time < inf",
+            )
         if np.shape(frame.raw) != np.shape(first.raw) or frame.raw.dtype != np.uint16:
             raise BadData(
                 f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
                 f"wanted uint16 of the shape of frame 0, {np.shape(first.raw)}"
             )
-        for key in SAME:
+        for key in COMMON_FIELDS:
             if getattr(sensor, key) != getattr(first.camera.sensor, key):
                 raise BadData(
                     f"{function}: frame {number} is of another camera than frame 0: sensor.{key} differs"
@@ -279,7 +302,8 @@ def _merge_tables(frames):
     rows = []
     for frame in frames:
         sensor, time = frame.camera.sensor, frame.exposure_time
-        noise, gain = RawNoise.of(sensor), sensor.gain_dn_per_electron
+        noise = RawNoise.of(sensor)
+        gain = sensor.gain_dn_per_electron
         dark = sensor.noise.operating_dark_current * time
         full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
         ceiling = min(full, sensor.white_level)

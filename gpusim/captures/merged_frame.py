@@ -13,7 +13,7 @@ PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
 FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
 COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
 REACH = 16  # [pixel] reach of demosaicking
-# noise that merged values have no more, or as read noise
+# noise of one frame: merged values have all that is left of it as read noise
 MERGED_NOISE = "dark_current", "reset", "adc", "row", "column", "dsnu", "row_dsnu", "column_dsnu"
 
 
@@ -41,16 +41,26 @@ def develop_merged(
     """
     device, old, processor_before = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
-    merged = dict.fromkeys(MERGED_NOISE, 0.0) | {"read": dark_noise * averaged**0.5}
-    chip = dataclasses.replace(old.noise, **merged)
+    chip = dataclasses.replace(
+        old.noise, read=dark_noise * averaged**0.5, **dict.fromkeys(MERGED_NOISE, 0.0)
+    )
     processor = dataclasses.replace(processor_before, defects="none", shading=shading is not None)
 
     def develop_at(full):
         """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
         gain = (TOP - PEDESTAL) / full
-        gains = {"gain": gain, "analog_gain": 1.0, "conversion_gain": None, "adc_range": None}
-        levels = {"bits": 16, "black_level": PEDESTAL, "analog_offset": 0.0, "full_well": full}
-        sensor = dataclasses.replace(old, **gains, **levels, noise=chip)
+        sensor = dataclasses.replace(
+            old,
+            bits=16,
+            black_level=PEDESTAL,
+            analog_offset=0.0,
+            gain=gain,
+            analog_gain=1.0,
+            conversion_gain=None,
+            adc_range=None,
+            full_well=full,
+            noise=chip,
+        )
         camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
         numbers = electrons * np.float32(gain) + np.float32(PEDESTAL)
         raw = np.rint(np.clip(numbers, 0, TOP)).astype(np.uint16)
@@ -88,12 +98,23 @@ def develop_merged(
         replacing = dataclasses.replace(processor, defects=defects)
         models = Developer(dataclasses.replace(camera, processor=replacing), device).models()
         first["processor.defects"] = models["processor.defects"] + ", frame by frame"
-    both = {**ms, **ms_developed}
-    taken = {name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in both}
+    taken = {
+        name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in {**ms, **ms_developed}
+    }
     report = _replace_stages(frame.report, first | stages | developer.models(), taken)
-    values = electrons, raw, linear, rgb
-    how = report, frame.blur, shading
-    return Frame(camera, float(exposure_time), rescaled, *values, *how, averaged=None)
+    return Frame(
+        camera,
+        float(exposure_time),
+        rescaled,
+        electrons,
+        raw,
+        linear,
+        rgb,
+        report,
+        frame.blur,
+        shading,
+        averaged=None,
+    )
 
 
 def host_pictures(device, developer, shown):
@@ -105,12 +126,14 @@ def host_pictures(device, developer, shown):
 
 def _replace_stages(report, processing, ms):
     """Return a frame's report with other stages between its sensor and its colours."""
-    before, after = [], []
-    for stage in report.stages:
-        if stage.stage in ("processor.color", "display.encode"):
-            after.append(dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0)))
-        elif not stage.stage.startswith(("processor.", "display.")):
-            before.append(stage)
+    before = [
+        stage for stage in report.stages if not stage.stage.startswith(("processor.", "display."))
+    ]
+    after = [
+        dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
+        for stage in report.stages
+        if stage.stage in ("processor.color", "display.encode")
+    ]
     stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
     return dataclasses.replace(report, stages=[*before, *stages, *after])
 

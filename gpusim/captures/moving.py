@@ -186,7 +186,8 @@ def expose_motion(
         if moving:  # the path of an actor at the camera's magnification, and the camera's
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         wrong = probes.between(step, step * (count - 1) * seconds / whole)
-        tolerance, is_enough = simulator.tolerance, step <= STEP
+        tolerance = simulator.tolerance
+        is_enough = step <= STEP
         if tolerance is not None:
             is_enough = SAFETY * wrong.ratio(tolerance) <= ENOUGH
         if instants or not step or is_enough:
@@ -202,13 +203,13 @@ def expose_motion(
         times = times[:1]
     scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
     exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
-    ratio, views = scene.samples_per_pixel, [one.view for one in scenes]
+    ratio = scene.samples_per_pixel
+    views = [one.view for one in scenes]
     between = next((view for view in views if not view.is_whole(ratio)), views[0])
     bounds = {"view": probes.resampling_error(between, ratio), "shutter": wrong}
     account = exposure.plan.account
     account = dataclasses.replace(account, bounds=account.bounds | bounds)
-    made = dataclasses.replace(exposure.plan, account=account)
-    return dataclasses.replace(exposure, plan=made)
+    return dataclasses.replace(exposure, plan=dataclasses.replace(exposure.plan, account=account))
 
 
 def largest_step(scene, motion, times):

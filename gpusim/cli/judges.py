@@ -103,22 +103,31 @@ def _hard_rows(name):
 
 def _stage_line(row):
     """Return a line of a stage's case."""
-    words = "{device:10s} {stage:22s} {max_error:9.2e} (tolerance {tolerance:8.2e})  {case}"
-    words = f"ok   {words}" if row["ok"] else f"FAIL {words}: {{why}}"
-    return words.format(**row)
+    start = "ok  " if row["ok"] else "FAIL"
+    error = f"{row['max_error']:9.2e} (tolerance {row['tolerance']:8.2e})"
+    end = "" if row["ok"] else f": {row['why']}"
+    return f"{start} {row['device']:10s} {row['stage']:22s} {error}  {row['case']}{end}"
 
 
 def _hard_line(row):
     """Return a line of a hard case."""
-    words = "{device:10s} {number:2d} {name}: {asked} | got {got:.2g} of {limit:.2g}: {why}"
-    return ("ok   " if row["ok"] else "FAIL ") + words.format(**row)
+    start = "ok  " if row["ok"] else "FAIL"
+    case = f"{row['device']:10s} {row['number']:2d} {row['name']}: {row['asked']}"
+    return f"{start} {case} | got {row['got']:.2g} of {row['limit']:.2g}: {row['why']}"
 
 
 def _as_hard(row):
     """Return the row of a device that does not open as a hard case has it."""
-    case = {"number": 0, "name": "(open)", "asked": "the device opens"}
-    result = {"got": float("inf"), "limit": 0.0, "ok": False, "why": row["why"]}
-    return case | {"device": row["device"]} | result
+    return {
+        "number": 0,
+        "name": "(open)",
+        "device": row["device"],
+        "asked": "the device opens",
+        "got": float("inf"),
+        "limit": 0.0,
+        "ok": False,
+        "why": row["why"],
+    }
 
 
 def bench(request: BenchRequest) -> int:
@@ -164,14 +173,17 @@ def bench(request: BenchRequest) -> int:
 
 def _speed_line(row):
     """Return a line of a stage's speed."""
+    stage = f"{row['device']:10s} {row['stage']:22s}"
     if "failed" in row:
-        words = "{device:10s} {stage:22s} no speed: verification failed, {failed}"
-        return words.format(**row)
-    known = row["gflops"], row["ratio_to_floor"]
-    rate, ratio = (f"{'-':>8s}" if value is None else f"{value:8.1f}" for value in known)
-    times = "{device:10s} {stage:22s} {size:>10s} {ms_p25:9.3f} {ms_p50:9.3f} {ms_p75:9.3f}"
-    rest = "{build_ms:9.1f} {rel_rms_error:10.1e} {max_error:10.1e}"
-    return f"{times} {{gbps:7.1f}} {rate} {ratio} {rest}".format(**row)
+        return f"{stage} no speed: verification failed, {row['failed']}"
+    rate, ratio = (
+        f"{'-':>8s}" if row[key] is None else f"{row[key]:8.1f}"
+        for key in ("gflops", "ratio_to_floor")
+    )
+    times = f"{row['ms_p25']:9.3f} {row['ms_p50']:9.3f} {row['ms_p75']:9.3f}"
+    errors = f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}"
+    speeds = f"{row['gbps']:7.1f} {rate} {ratio}"
+    return f"{stage} {row['size']:>10s} {times} {speeds} {row['build_ms']:9.1f} {errors}"
 
 
 def _pareto(request):
@@ -194,8 +206,10 @@ def _pareto(request):
     print(f"{'point':22s} {' '.join(f'{head:>9s}' for head in heads)}")
     for row in pareto(camera, scene, device):
         rows.append(row)
-        known = row["predicted_ms"], row["predicted"]
-        ms, error = (f"{value:9.2g}" if value else f"{'-':>9s}" for value in known)
+        ms, error = (
+            f"{row[key]:9.2g}" if row[key] else f"{'-':>9s}"
+            for key in ("predicted_ms", "predicted")
+        )
         start = f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error}"
         print(f"{start} {row['p999_sigma']:9.2g} {row['max_sigma']:9.2g}  {row['words']}")
     _write_rows(request.json, rows)
@@ -226,9 +240,11 @@ def list_devices(request: DevicesRequest) -> int:
             print(f"{entry['name']:12s} unusable: {entry['error']}")
             continue
         kinds = ", ".join(kind if entry[kind] else f"no {kind}" for kind in ("fp64", "fp16"))
-        what = "{name:12s} {device}; {driver} ({version}); {units} units".format(**entry)
-        memory, copy = f"{entry['memory'] / 2**30:.1f} GiB", f"{entry['copy_gbps']:.1f} GB/s"
-        print(f"{what}, {kinds}; {memory}; copy {copy}")
+        driver = f"{entry['driver']} ({entry['version']})"
+        memory = f"{entry['memory'] / 2**30:.1f} GiB"
+        copy = f"copy {entry['copy_gbps']:.1f} GB/s"
+        units = f"{entry['units']} units, {kinds}"
+        print(f"{entry['name']:12s} {entry['device']}; {driver}; {units}; {memory}; {copy}")
     return 0
 
 

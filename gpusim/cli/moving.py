@@ -141,10 +141,10 @@ class MovingRequest(Request):
         if len(names) == 1 and not is_folder:
             self.refuse("any_order", "one scene has only one order")
         if films:
-            given = ("light", "luminance", "border", "samples_per_pixel")
-            settings = {name: getattr(self, name) for name in given}
-            settings = {name: value for name, value in settings.items() if value is not None}
-            film = Film(Path(names[0]), self.transfer, **settings)
+            options = ("light", "luminance", "border", "samples_per_pixel")
+            values = {name: getattr(self, name) for name in options}
+            given = {name: value for name, value in values.items() if value is not None}
+            film = Film(Path(names[0]), self.transfer, **given)
             return film if self.frames is None else First(film, self.frames)
         if len(names) == 1 and not is_folder:
             return Still(self.open_scene(names[0]), self.frames or 1)

@@ -211,9 +211,9 @@ def whole(low: int, high: int) -> Callable[[str], int]:
     return number(f"a whole number, {low} .. {high}", lambda value: low <= value <= high, int)
 
 
-def seed_option(of: str) -> Any:
-    """Return the field of an option --seed. of: the things that it seeds, in words."""
-    return option(default=0, type=whole(0, 2**64 - 1), help=f"seed of {of} (default: 0)")
+def seed_option(seeded: str) -> Any:
+    """Return the field of an option --seed. seeded: the things that it seeds, in words."""
+    return option(default=0, type=whole(0, 2**64 - 1), help=f"seed of {seeded} (default: 0)")
 
 
 @reads("COLSxROWS, such as 1920x1080")
@@ -409,9 +409,13 @@ class Request(Options):
             for name in ("guaranteed", "strict"):
                 self.refuse(name, "there is no tolerance to meet", "add --tolerance")
 
-        names = ("device", "tolerance", "guaranteed", "strict")
-        settings = {name: getattr(self, name) for name in names}
-        return Simulator(self.open_camera() if camera is None else camera, **settings)
+        return Simulator(
+            self.open_camera() if camera is None else camera,
+            device=self.device,
+            tolerance=self.tolerance,
+            guaranteed=self.guaranteed,
+            strict=self.strict,
+        )
 
 
 def describe_verdicts(states: Counter) -> str:

@@ -116,8 +116,15 @@ def pairs(request: PairsRequest) -> int:
         return request.open_scene(str(path), **scene_options(values))
 
     open_drawn(photographs[0], request.vary.draw(request.seed, 0))
-    settings = request.vary, request.each, request.seed, request.pictures
-    made = Pairs(simulator, photographs, open_drawn, *settings)
+    made = Pairs(
+        simulator,
+        photographs,
+        open_drawn,
+        request.vary,
+        request.each,
+        request.seed,
+        request.pictures,
+    )
     folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):
         raise BadFile(folder, "the photographs are in it; give -o another folder")
@@ -125,9 +132,13 @@ def pairs(request: PairsRequest) -> int:
     own = request.shard.of(shards, "--in-shard")
     request.refuse_unread("pairs")
     make_folder(folder)
-    others: dict = {"photographs": [str(path) for path in photographs]}
-    others["vary"] = {name: list(values) for name, values in varied.items()}
-    content = describe_run(simulator, photographs, request.key(), **others)
+    content = describe_run(
+        simulator,
+        photographs,
+        request.key(),
+        photographs=[str(path) for path in photographs],
+        vary={name: list(values) for name, values in varied.items()},
+    )
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
     missing = [shard for shard in own if not names[shard.start].exists()]
     begun, count = time.perf_counter(), sum(map(len, missing))

@@ -80,8 +80,13 @@ def preview(request: PreviewRequest) -> int:
     request.open_camera()  # refuses wrong settings before the page opens
     require_port(request.host, request.port)
     request.refuse_unread("preview")
-    state, words = State(request.camera, changes, tolerance=tolerance), " ".join(request.scene)
-    mount(lambda: Producer(scenes, device, period), state, first.name, first.shape, words)
+    mount(
+        lambda: Producer(scenes, device, period),
+        State(request.camera, changes, tolerance=tolerance),
+        first.name,
+        first.shape,
+        " ".join(request.scene),
+    )
     hosts = LOOPBACK if request.host in LOOPBACK else (*LOOPBACK, request.host)
     app.add_middleware(Guard, hosts=hosts)
     if request.host not in LOOPBACK:
@@ -106,12 +111,15 @@ def preview(request: PreviewRequest) -> int:
 def require_port(host: str, port: int):
     """Raise OutOfRange if the port cannot be opened at this address."""
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
-        family, kind, protocol, _, address = found[0]
+        addresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        family, kind, protocol, _, address = addresses[0]
         with socket.socket(family, kind, protocol) as probe:
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except OSError as error:
-        allowed = f"a free port of an address of this machine ({error.strerror or error})"
-        remedy = f"try --port {port % 65535 + 1}"
-        raise OutOfRange("--host, --port", f"{host}:{port}", f"{allowed}; {remedy}") from None
+        reason = error.strerror or error
+        raise OutOfRange(
+            "--host, --port",
+            f"{host}:{port}",
+            f"a free port of an address of this machine ({reason}); try --port {port % 65535 + 1}",
+        ) from None

@@ -76,8 +76,8 @@ class SimulateRequest(Request):
         for path in (*report, *frames):
             here = place(path)
             if here in taken:
-                what = f"{taken[here]}, and would be overwritten"
-                raise BadFile(path, f"{what}; give each -o and --report its own name")
+                why = f"{taken[here]}, and would be overwritten; give each -o and --report its own name"
+                raise BadFile(path, why)
             taken[here] = "is given twice"
         return outputs
 

@@ -87,13 +87,17 @@ def train_l3(request: TrainRequest) -> int:
         raise OutOfRange("--out", request.out, "a name that ends in .npz")
     camera = open_camera(request.camera)
     training_camera(camera)
-    light = request.light
-    scenes = [open_scene(name, light=light) for name in request.scenes]
-    settings = {name: getattr(request, name) for name in ("outputs", "seed", "device")}
-    settings["generated"] = GENERATED if request.generated is None else request.generated
-    settings |= {"light": light, "luminances": request.luminance}
-    bar = partial(tqdm, unit="frame", disable=None)
-    table = train(camera, scenes, **settings, progress=bar)
+    table = train(
+        camera,
+        [open_scene(name, light=request.light) for name in request.scenes],
+        light=request.light,
+        luminances=request.luminance,
+        generated=GENERATED if request.generated is None else request.generated,
+        outputs=request.outputs,
+        seed=request.seed,
+        device=request.device,
+        progress=partial(tqdm, unit="frame", disable=None),
+    )
     write_table(request.out, table)
     made = table.layout
     levels, positions, classes, _, weights = made.shape[1:]

@@ -59,18 +59,24 @@ def _make_flicker(text, **numbers):
     """Return a Flicker. numbers: its fields, as text."""
     from gpusim.domain.flicker import Flicker
 
-    why = "wanted one or two numbers, such as 100,0.5"
     try:
         return Flicker(**{name: float(number) for name, number in numbers.items()})
     except (ValueError, OutOfRange) as error:
-        why = str(error) if isinstance(error, OutOfRange) else why
+        why = "wanted one or two numbers, such as 100,0.5"
+        if isinstance(error, OutOfRange):
+            why = str(error)
         raise argparse.ArgumentTypeError(f"{text!r}: {why}") from None
 
 
 def shard_option(part: str) -> Any:
     """Return the field of the option --shard. part: the part that a shard makes, in words."""
-    parts: dict = {"default": Shard(), "type": Shard.parse, "metavar": "I/N", "in_key": False}
-    return option(help=f"make only {part}", **parts)
+    return option(
+        default=Shard(),
+        in_key=False,
+        type=Shard.parse,
+        metavar="I/N",
+        help=f"make only {part}",
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -211,10 +217,10 @@ def video(request: VideoRequest) -> int:
         loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
     is_blurred = request.blur or request.flicker or request.pwm
-    make: Any = blurred_frames if is_blurred else frames
-    settings: dict = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
+    generator: Any = blurred_frames if is_blurred else frames
+    make = partial(generator, simulator, scenes, seed=request.seed, ramps=request.ramp, loops=loops)
     with keep_manifest(manifest, made, target.words, target.is_empty):
-        written = target.write(partial(make, simulator, scenes, **settings), own)
+        written = target.write(make, own)
         return _report(target, written, own, simulator.tolerance, Plans(manifest))
 
 
@@ -224,9 +230,16 @@ def _meter(request, simulator, scenes):
 
     from gpusim.apps.video.loops import meter_scenes
 
-    settings = request.lag, request.ramp, float(1 / request.fps)
     with tqdm(total=scenes.count, desc="metering", unit="frame", disable=None) as bar:
-        return meter_scenes(simulator, scenes, *settings, seed=request.seed, seen=bar.update)
+        return meter_scenes(
+            simulator,
+            scenes,
+            request.lag,
+            request.ramp,
+            float(1 / request.fps),
+            seed=request.seed,
+            seen=bar.update,
+        )
 
 
 def _report(target, written, own, tolerance, plans):
@@ -274,8 +287,14 @@ def _target(request, simulator, scenes, segments):
 
     is_list = len(request.scene) > 1 or Path(request.scene[0]).is_dir()
     shown = scenes.names if is_list else request.scene
-    others = {"scenes": scenes.names, "actors": [file_digest(cast.path) for cast in request.actor]}
-    made = describe_run(simulator, shown, request.key(), **others, frames=scenes.count)
+    made = describe_run(
+        simulator,
+        shown,
+        request.key(),
+        scenes=scenes.names,
+        actors=[file_digest(cast.path) for cast in request.actor],
+        frames=scenes.count,
+    )
     path = Path(request.out)
     if request.lerobot is not None or request.suffix in ENCODED:
         target, more = _open_encoded(request, path, simulator, scenes, segments)
@@ -321,13 +340,20 @@ def _open_encoded(request, path, simulator, scenes, segments):
     if is_episode and request.shard.count > 1:
         raise Conflict("--shard", "one run makes an episode", "leave --shard or --lerobot out")
     if codec.output == "raw" and (sensor.bits > 16 or sensor.stacked):
-        found = "stacked pixels" if sensor.stacked else f"{sensor.bits} bits"
-        allowed = "one mosaic of up to 16 bits; .npz files hold any"
-        raise OutOfRange("raw values of an encoded video", found, allowed)
+        raise OutOfRange(
+            "raw values of an encoded video",
+            "stacked pixels" if sensor.stacked else f"{sensor.bits} bits",
+            "one mosaic of up to 16 bits; .npz files hold any",
+        )
     shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
-    tone, quality = camera.processor.tone, request.quality
-    encoder = Encoder(codec, shape, request.fps, camera.display, tone, quality)
-    made: dict[str, Any] = {"fps": str(request.fps), "codec": request.codec, "quality": quality}
+    encoder = Encoder(
+        codec, shape, request.fps, camera.display, camera.processor.tone, request.quality
+    )
+    made: dict[str, Any] = {
+        "fps": str(request.fps),
+        "codec": request.codec,
+        "quality": request.quality,
+    }
     if is_episode:
         task = request.lerobot
         episode = Episode(path, task, camera.name, request.seed, encoder, segments)

@@ -117,8 +117,11 @@ class Archive(Mapping):
         shape, dtype = self._members[name].shape, self._members[name].dtype
         if dtype.kind not in kinds:
             self.refuse(f"{name}: {dtype}, wanted {KINDS.get(kinds, KINDS[NUMBERS])}")
-        fits = wanted is None or (len(shape) == len(wanted) and 0 not in shape)
-        if not (fits and all(n in (None, m) for n, m in zip(wanted or (), shape, strict=False))):
+        if wanted is not None and not (
+            len(shape) == len(wanted)
+            and 0 not in shape
+            and all(n in (None, m) for n, m in zip(wanted, shape, strict=True))
+        ):
             lengths = ", ".join("any" if n is None else str(n) for n in wanted)
             self.refuse(f"{name}: shape {shape}, wanted ({lengths})")
         return shape

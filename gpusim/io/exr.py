@@ -190,8 +190,8 @@ def _to_floats(path, name, plane, half):
     if not np.isfinite([plane.min(), plane.max()]).all():
         raise BadData(f"{path}: channel {name!r}: NaN or infinite values")
     if half and np.abs(plane).max() > np.finfo(np.float16).max:
-        what = f"{path}: channel {name!r}"
-        raise BadData(f"{what}: {np.abs(plane).max():.3g} does not fit 16-bit floats (65504)")
+        largest = np.abs(plane).max()
+        raise BadData(f"{path}: channel {name!r}: {largest:.3g} does not fit 16-bit floats (65504)")
     return np.ascontiguousarray(plane, np.float16 if half else np.float32)
 
 

@@ -83,21 +83,28 @@ def _require_intensity(path, names):
     """Raise BadFile for polarised light and bispectral reflectances."""
     for name in sorted(names):
         if POLARISED.fullmatch(name):
-            what = f"channel {name!r}: polarised light, which is not simulated"
-            remedy = "write the file without S1, S2 and S3, or name the channels of S0"
-            raise BadFile(path, f"{what}; {remedy} with --band NAME=nm")
+            raise BadFile(
+                path,
+                f"channel {name!r}: polarised light, which is not simulated; write the file without "
+                "S1, S2 and S3, or name the channels of S0 with --band NAME=nm",
+            )
         if BISPECTRAL.fullmatch(name):
-            what = f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated"
-            raise BadFile(path, f"{what}; write the file without its T.<nm>.<nm> channels")
+            raise BadFile(
+                path,
+                f"channel {name!r}: bispectral (fluorescent) reflectance, which is not simulated; "
+                "write the file without its T.<nm>.<nm> channels",
+            )
 
 
 def _fichet(path, names):
     matches = [(name, BAND.fullmatch(name)) for name in names if SPECTRAL.match(name)]
     for name, match in matches:
         if not match:
-            wanted = "wanted S0.<wavelength>nm or T.<wavelength>nm"
-            others = "(other units and frequencies are not supported)"
-            raise BadFile(path, f"channel {name!r}: cannot be read; {wanted} {others}")
+            raise BadFile(
+                path,
+                f"channel {name!r}: cannot be read; wanted S0.<wavelength>nm or T.<wavelength>nm "
+                "(other units and frequencies are not supported)",
+            )
     kinds = {match[1] for _, match in matches}
     if len(kinds) > 1:
         why = "holds both emissive (S0) and reflective (T) channels; write only one kind"
@@ -123,8 +130,11 @@ def _indigo(path, names):
         raise BadFile(path, why)
     width = (edges[-1][1] - edges[0][1]) / (len(edges) - 1)
     if np.abs(np.diff([edge for _, edge in edges]) - width).max() > UNEVEN * width:
-        what = f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width"
-        raise BadFile(path, f"{what}; wanted equally spaced edges")
+        raise BadFile(
+            path,
+            f"channels {edges[0][0]!r} .. {edges[-1][0]!r}: buckets of unequal width; wanted "
+            "equally spaced edges",
+        )
     return Contents("radiance", [(name, edge + width / 2) for name, edge in edges], unit=1e-9)
 
 

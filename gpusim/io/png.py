@@ -65,8 +65,11 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
                 pieces.append(lines)
             piece = inflate.unconsumed_tail
     if found < header.nbytes or not inflate.eof:
-        what = f"{header.nbytes} bytes that {header.cols} x {header.rows} pixels take"
-        raise BadFile(path, f"truncated: holds {found} of the {what}")
+        raise BadFile(
+            path,
+            f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x "
+            f"{header.rows} pixels take",
+        )
     return header, b"".join(pieces)
 
 

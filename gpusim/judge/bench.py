@@ -52,19 +52,30 @@ def fma_gflops(device: Device) -> float:
     is_cpu, is_opencl = not device.is_gpu, device.kind == "opencl"
     items, steps = (64, CPU_STEPS) if is_cpu else (2**18, GPU_STEPS)
     width = vector_width(device) if is_cpu and is_opencl else 1
-    build: dict = {"defines": {}, "group": (1,) if is_cpu else None}
+    defines = {}
     if is_opencl:
-        build["defines"] = {"VECTOR": f"float{width}" if width > 1 else "float"}
+        defines["VECTOR"] = f"float{width}" if width > 1 else "float"
     out, a, b, best_ms = device.empty((items * width,)), 0.99, 0.5, np.inf
-    given = out, a, b, steps, items
     for _ in range(10):
         with device.timed() as ms:
-            device.launch("common.fma", "fma_chains", (items,), *given, **build)
+            device.launch(
+                "common.fma",
+                "fma_chains",
+                (items,),
+                out,
+                a,
+                b,
+                steps,
+                items,
+                defines=defines,
+                group=(1,) if is_cpu else None,
+            )
         best_ms = min(best_ms, ms["common.fma"])
     # float32 rounds a by 6e-8, which 1 / (1 - a) makes 6e-6; rounding adds as little
     if not np.allclose(device.numpy(out), CHAINS * b / (1 - a), rtol=1e-4):
-        what = "a kernel of multiplications and additions"
-        raise DeviceError(f"{device.name}: {what} gave other sums than it should")
+        raise DeviceError(
+            f"{device.name}: a kernel of multiplications and additions gave other sums than it should"
+        )
     return 2 * CHAINS * width * items * steps / best_ms / 1e6
 
 
@@ -104,24 +115,37 @@ def bench(
     """
     limits = ceilings(device) if limits is None else limits
     for name in stages or stage_names():
-        row: dict = {"stage": name, "device": device.name}
         failed = []
         if device.kind != "numpy":
             failed = [found for found in verify(device, [name]) if not found["ok"]]
         if failed:
-            words = "{case}: error {max_error:.3g}, tolerance {tolerance:.3g} ({why})"
-            text = f"{len(failed)} cases, such as {words.format(**failed[0])}"
-            yield row | {"failed": text}
+            first = failed[0]
+            error = f"error {first['max_error']:.3g}, tolerance {first['tolerance']:.3g}"
+            yield {
+                "stage": name,
+                "device": device.name,
+                "failed": f"{len(failed)} cases, such as {first['case']}: {error} ({first['why']})",
+            }
             continue
         rms, largest = _errors(name, device)
         times, moved, operations = _measure(name, device, size, seconds)
         p25, p50, p75 = map(float, np.percentile(times, (25, 50, 75)))
-        row |= {"size": f"{size[1]}x{size[0]}", "ms_p25": p25, "ms_p50": p50, "ms_p75": p75}
-        row |= {"bytes": moved, "gbps": moved / p50 / 1e6, "operations": operations}
-        row["gflops"] = None if operations is None else operations / p50 / 1e6
-        row |= _floor(moved, operations, p50, limits)
-        row["build_ms"] = getattr(device, "build_ms", {}).get(name, 0.0)
-        yield row | {"rel_rms_error": rms, "max_error": largest}
+        yield {
+            "stage": name,
+            "device": device.name,
+            "size": f"{size[1]}x{size[0]}",
+            "ms_p25": p25,
+            "ms_p50": p50,
+            "ms_p75": p75,
+            "bytes": moved,
+            "gbps": moved / p50 / 1e6,
+            "operations": operations,
+            "gflops": None if operations is None else operations / p50 / 1e6,
+            **_floor(moved, operations, p50, limits),
+            "build_ms": getattr(device, "build_ms", {}).get(name, 0.0),
+            "rel_rms_error": rms,
+            "max_error": largest,
+        }
 
 
 def _floor(moved, operations, p50, limits):

@@ -56,8 +56,9 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
     """
     require_truth(camera, scene)
     if not lens_of(camera).is_uniform:
-        what = "bench --pareto: a blur that varies over the field"
-        raise BadData(f"{what}; wanted one that is the same everywhere")
+        raise BadData(
+            "bench --pareto: a blur that varies over the field; wanted one that is the same everywhere"
+        )
     exact = Simulator(camera, device=device)
     seconds = exact.expose(scene).exposure_time
     start = time.perf_counter()
@@ -66,9 +67,19 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
 
     def row(point, kind, ms, mean, **more):
         error = Error.between(mean, truth, camera.sensor.read_sigma)
-        found = {"point": point, "kind": kind, "tolerance": None, "ms": ms, "predicted_ms": None}
-        found |= {name: getattr(error, name) for name in ("rms", "p999_sigma", "max_sigma")}
-        return found | {"predicted": None, "met": None, "words": ""} | more
+        return {
+            "point": point,
+            "kind": kind,
+            "tolerance": None,
+            "ms": ms,
+            "predicted_ms": None,
+            "rms": error.rms,
+            "p999_sigma": error.p999_sigma,
+            "max_sigma": error.max_sigma,
+            "predicted": None,
+            "met": None,
+            "words": "",
+        } | more
 
     speeds, seen = Speeds(device), set()
     for tolerance in TOLERANCES:
@@ -82,10 +93,18 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
         if words in seen:
             continue
         seen.add(words)
-        kind = ("exact", "exact") if tolerance is None else (f"{tolerance:g}", "plan")
-        more: dict = {"tolerance": tolerance, "words": words, "predicted": plan.account.total.rms}
-        more["predicted_ms"] = sum(frame_ms(simulator, plan, speeds).values())
-        yield row(*kind, ms, mean, **more, met=plan.verdict and plan.verdict.is_met)
+        name, kind = ("exact", "exact") if tolerance is None else (f"{tolerance:g}", "plan")
+        yield row(
+            name,
+            kind,
+            ms,
+            mean,
+            tolerance=tolerance,
+            words=words,
+            predicted=plan.account.total.rms,
+            met=plan.verdict and plan.verdict.is_met,
+            predicted_ms=sum(frame_ms(simulator, plan, speeds).values()),
+        )
     for name, made in _naive(camera, scene, seconds).items():
         times: list[float] = []
         while len(times) < 3:
@@ -202,9 +221,14 @@ def draw(rows: list[dict], path, title: str):
         axes.plot([x for x, *_ in points], [y for _, y, _ in points], marker, label=kind)
         for number, (x, y, name) in enumerate(points):  # neighbours alternate above and below
             apart = (5, -12 if number % 2 else 5)
-            axes.annotate(name, (x, y), apart, textcoords="offset points", fontsize=8)
-    axes.set(xscale="log", yscale="log", ylabel="time [ms]", title=title)
-    axes.set_xlabel("true relative RMS error of the mean electrons")
+            axes.annotate(name, (x, y), xytext=apart, textcoords="offset points", fontsize=8)
+    axes.set(
+        xscale="log",
+        yscale="log",
+        xlabel="true relative RMS error of the mean electrons",
+        ylabel="time [ms]",
+        title=title,
+    )
     axes.grid(alpha=0.3, which="both")
     axes.legend()
     figure.savefig(path, dpi=110)

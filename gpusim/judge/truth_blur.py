@@ -97,12 +97,13 @@ def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | flo
     if border == "reflect" or tail is None:
         return 0.0
     around = min(length - n for length, n in zip(period, light.shape[1:], strict=True)) / 2
-    cell, at = max(around / CELLS, 1), [scene.margin + place for place in places]
-    found = []
-    for one in np.tensordot(weights, light, 1):
-        far = unseen_light(one, period, border, cell, tail.strength, times=(3, 5, 7), soft=2)
-        found.append(at_samples(far, one.shape, period, *at))
-    return np.stack(found)
+    cell = max(around / CELLS, 1)
+    rows, cols = (scene.margin + place for place in places)
+    rates = []
+    for seen in np.tensordot(weights, light, 1):
+        far = unseen_light(seen, period, border, cell, tail.strength, times=(3, 5, 7), soft=2)
+        rates.append(at_samples(far, seen.shape, period, rows, cols))
+    return np.stack(rates)
 
 
 def _at_pixels(spectrum, period, transfer, cut, wide, places):
@@ -144,8 +145,10 @@ def _at_pixels(spectrum, period, transfer, cut, wide, places):
     if not whole:
         return seen / even, float(np.mean(even))
     picture = scipy.fft.irfft2(folded * spectrum, period, workers=-1)
-    at = (np.rint(place).astype(int) % length for place, length in zip(rest, period, strict=True))
-    at = np.ix_(*at)
+    wrapped = [
+        np.rint(place).astype(int) % length for place, length in zip(rest, period, strict=True)
+    ]
+    at = np.ix_(*wrapped)
     even = float(folded[0, 0].real)
     return picture[at] / even, even
 

@@ -37,7 +37,8 @@ def require_truth(camera, scene):
         OutOfRange: It does not; the message says what is allowed.
     """
     optics = camera.optics
-    has_psf, samples = optics.psf is not None, f"{scene.samples_per_pixel:g} samples per pixel"
+    has_psf = optics.psf is not None
+    samples = f"{scene.samples_per_pixel:g} samples per pixel"
     if scene.samples_per_pixel != 1 and optics.varies:
         what = f"{samples} with a blur that varies over the field"
         raise OutOfRange("verify", what, "1 sample per pixel")
@@ -49,7 +50,7 @@ def require_truth(camera, scene):
         what = "depth beside distortion, a calibration or measured point spreads"
         raise OutOfRange("verify", what, "a scene without depth, or a lens without them")
     if optics.varies and has_psf and any(axis := axis_of(camera, scene.shape)):
-        off = "{:.3g}, {:.3g} pixels off the frame's middle".format(*axis)
+        off = f"{axis[0]:.3g}, {axis[1]:.3g} pixels off the frame's middle"
         what = f"point spreads of field points, with the axis {off}"
         raise OutOfRange("verify", what, "an axis in the middle")
 
@@ -100,12 +101,12 @@ def _measured(spread, wavelength, pitch):
     along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
 
     def transfer(fy, fx):
-        to = []
-        for f, at in zip((fy, fx), along, strict=True):
-            waves = np.exp(-2j * np.pi * step * np.outer(f, at))
+        def waves(f, at):
+            found = np.exp(-2j * np.pi * step * np.outer(f, at))
             # a frequency of exactly half the rate counts half for either sign
-            to.append(waves if spread.integrated else waves * _passed(np.abs(f) * step)[:, None])
-        return to[0] @ values @ to[1].T
+            return found if spread.integrated else found * _passed(np.abs(f) * step)[:, None]
+
+        return waves(fy, along[0]) @ values @ waves(fx, along[1]).T
 
     return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
 
@@ -154,7 +155,8 @@ class _PupilField(Field):
         for count in (LEAST_WAVELENGTHS, 2 * LEAST_WAVELENGTHS - 1, 4 * LEAST_WAVELENGTHS - 3):
             if count >= len(known):
                 break
-            nodes, degree = np.linspace(known[0], known[-1], count), min(DEGREE, count - 1)
+            nodes = np.linspace(known[0], known[-1], count)
+            degree = min(DEGREE, count - 1)
             share = scipy.interpolate.make_interp_spline(nodes, np.eye(count), degree)
             between = (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2
             tried = known[np.abs(known[:, None] - between).argmin(axis=0)]
@@ -296,8 +298,9 @@ class Splines:
             at, weights = [], []
             for places in self.axes:
                 cell = min(int(share * (len(places) - 1)), len(places) - 2)
-                at.append((places[cell] + places[cell + 1]) / 2)
-                weights.append(self._basis(places, np.array(at[-1:]))[0])
+                middle = (places[cell] + places[cell + 1]) / 2
+                at.append(middle)
+                weights.append(self._basis(places, np.array([middle]))[0])
             found = np.einsum("i,j,ijab->ab", *weights, self.table, optimize=True)
             worst = max(worst, float(np.abs(found - kernel(*at)).max()))
         return worst

@@ -20,8 +20,12 @@ from gpusim.optics.geometry import microlens_gain, relative_illumination, vignet
 TAPS = 10
 # Beatty, Nishimura and Pauly, same journal 24 (2005) 799
 SHAPE = np.pi * np.sqrt((TAPS / 2) ** 2 * 2.25 - 0.8)
-MODES: dict[str, Any] = {"zero": "constant", "edge": "edge", "scene": "edge"}
-MODES["reflect"] = "symmetric"
+MODES: dict[str, Any] = {
+    "zero": "constant",
+    "edge": "edge",
+    "scene": "edge",
+    "reflect": "symmetric",
+}
 # [sample] around the scene in the series: beyond the displaced places, and at most
 RIM = 32
 FARTHEST = 512
@@ -57,9 +61,10 @@ def placed_light(camera, scene) -> np.ndarray:
         return light
     rows, cols = light.shape[1:]
     y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-    model, pitch = None, camera.sensor.pixel_pitch / scene.samples_per_pixel
+    model = None
     if distortion is not None:
         model = fit_to_frame(distortion, scene.shape, camera.sensor.pixel_pitch)
+    pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
 
     def source(y, x):
         """Return rows and columns of the source, and its area relative to the image."""

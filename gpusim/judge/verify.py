@@ -55,8 +55,15 @@ def verify(device: Device, stages: list[str] | None = None) -> Iterator[dict]:
 
 
 def _row(stage, device, case, error, tolerance, why):
-    row = {"stage": stage, "device": device, "case": case, "max_error": error}
-    return row | {"tolerance": tolerance, "ok": bool(error <= tolerance), "why": why}
+    return {
+        "stage": stage,
+        "device": device,
+        "case": case,
+        "max_error": error,
+        "tolerance": tolerance,
+        "ok": bool(error <= tolerance),
+        "why": why,
+    }
 
 
 def failed_row(stage: str, device: str, case: str, why: str) -> dict:

@@ -173,7 +173,8 @@ def xyz_and_white(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
 
 def _pair(picture, reference, white):
     """Return XYZ of both pictures, of one shape, and of the white."""
-    pair, display, shape = [picture, reference], DISPLAYS["srgb"], None
+    pair = [picture, reference]
+    display, shape = DISPLAYS["srgb"], None
     for one in (reference, picture):  # the first counts if both are frames
         if hasattr(one, "camera"):
             display = one.camera.display

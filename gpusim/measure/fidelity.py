@@ -60,9 +60,16 @@ def ssim(
     image, reference, peak = _crop(image, reference, border, peak, WINDOW)
     from skimage.metrics import structural_similarity
 
-    window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    found = structural_similarity(image, reference, data_range=peak, channel_axis=-1, **window)
-    return float(found)
+    similarity = structural_similarity(
+        image,
+        reference,
+        data_range=peak,
+        channel_axis=-1,
+        gaussian_weights=True,
+        sigma=1.5,
+        use_sample_covariance=False,
+    )
+    return float(similarity)
 
 
 def _crop(image, reference, border, peak, least) -> tuple[np.ndarray, np.ndarray, float]:

@@ -173,7 +173,8 @@ def _response(plane, order):
     rows = rows[spare // 2 : len(plane) - (spare - spare // 2)]
     slope = np.hypot(1, fit.deriv()(rows))[:, None]
     distance = (np.arange(plane.shape[1]) - fit(rows)[:, None]) / slope
-    read, angle = int(reach * BINS) - 1, np.arctan(abs(fit.deriv()(rows.mean())))
+    read = int(reach * BINS) - 1
+    angle = np.arctan(abs(fit.deriv()(rows.mean())))
     number = np.floor(distance * BINS + 0.5).astype(int)
     used = np.abs(number) <= read
     number = number[used] + read

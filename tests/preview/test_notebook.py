@@ -83,7 +83,7 @@ def test_a_slider_changes_the_picture_and_undo_takes_it_back(widget):
     dark = settled(widget)
     assert dark.mean() < 0.8 * bright.mean() and widget._histogram.value != before
     assert exposure.number.value == 5.0 and widget.camera.sensor.exposure_time == 0.005
-    assert "exposure 5 ms" in widget._known.value and "(met)" in widget._known.value
+    assert "exposure 5 ms" in widget._description.value and "(met)" in widget._description.value
     widget._undo.click()
     assert (
         np.array_equal(settled(widget), bright)

@@ -194,6 +194,31 @@ def test_the_last_good_picture_stays(number, words):
     run(scenario)
 
 
+class Broken:
+    """Four scenes, of which the third cannot be read."""
+
+    count, is_still = 4, False
+
+    def between(self, first, end):
+        for number in range(first, end):
+            if number == 2:
+                raise BadData("scene 2 is damaged")
+            yield replace(SCENE, name=f"scene {number}")
+
+
+def test_scenes_around_a_damaged_one_can_be_shown():
+    producer = Producer(Broken(), open_device("numpy"), 1 / 30)
+    assert producer._scene_in(STATE, 1).name == "scene 1"
+    for _ in range(2):
+        with pytest.raises(BadData, match="scene 2 is damaged"):
+            producer._scene_in(STATE, 2)
+    assert producer._scene_in(STATE, 3).name == "scene 3"
+    with pytest.raises(BadData, match="scene 2 is damaged"):
+        producer._scene_in(STATE, 2)
+    assert producer._scene_in(STATE, 0).name == "scene 0"
+    assert producer._scene_in(STATE, 1).name == "scene 1"
+
+
 def test_a_producer_makes_what_a_simulator_does():
     """After any changes, one after the other: raw values and codes, bit for bit."""
     producer, random = Producer(Still(SCENE, 1), open_device("opencl")), np.random.default_rng(8)

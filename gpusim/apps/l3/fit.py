@@ -52,8 +52,8 @@ class NormalEquations:
         layout = self.layout
         raw, wanted = np.asarray(raw), np.asarray(wanted, np.float64)
         if wanted.shape != (len(layout.outputs), *raw.shape):
-            what = f"wanted: shape {wanted.shape}"
-            raise BadData(f"{what}; raw and layout make it {(len(layout.outputs), *raw.shape)}")
+            expected = (len(layout.outputs), *raw.shape)
+            raise BadData(f"wanted: shape {wanted.shape}; raw and layout make it {expected}")
         shift = (0, 0) if phase is None else layout.shift(phase)
         codes = code.encode_raw(raw)
         floor, strengths = layout.floor[number], layout.strengths[number]
@@ -87,8 +87,11 @@ class NormalEquations:
         terms, outputs = self._sizes
         if number not in self.sums:
             bins = self.layout.shape[1:4]
-            a, b = np.zeros((*bins, terms, terms)), np.zeros((*bins, terms, outputs))
-            self.sums[number] = a, b, np.zeros((*bins, outputs))
+            self.sums[number] = (
+                np.zeros((*bins, terms, terms)),
+                np.zeros((*bins, terms, outputs)),
+                np.zeros((*bins, outputs)),
+            )
         return self.sums[number]
 
     def merge(self, other: "NormalEquations"):
@@ -118,13 +121,16 @@ class NormalEquations:
         """
         layout = self.layout
         if preserve and not set(layout.outputs) <= set(layout.channels):
-            what = f"outputs {layout.outputs}"
-            raise BadData(f"{what}: flat fields can be kept in channels, {layout.channels}")
+            raise BadData(
+                f"outputs {layout.outputs}: flat fields can be kept in channels, {layout.channels}"
+            )
         maps = symmetries(layout, exchanges)
         constraints = flat_sums(layout, self.constant)
         if preserve and not constraints.any(axis=2).all():
-            what = "taps: some position has no sample of some channel among them"
-            raise BadData(f"{what}, and flat fields shall be kept")
+            raise BadData(
+                "taps: some position has no sample of some channel among them, and flat fields shall "
+                "be kept"
+            )
         bins = (*layout.shape[:2], layout.positions, layout.classes)
         filters = np.zeros((*bins, *self._sizes[::-1]))
         for number in range(len(layout.noise)):
@@ -155,9 +161,11 @@ class NormalEquations:
             total = a[:, p].sum(axis=(0, 1))
             values = np.linalg.eigvalsh(total)
             if not values[0] > 1e-13 * values[-1]:
-                free = f"of {terms} terms {(values > 1e-13 * values[-1]).sum()} vary independently"
-                what = f"{place}: the training frames are singular, {free}"
-                raise BadData(f"{what}; add frames with more detail or noise")
+                free = (values > 1e-13 * values[-1]).sum()
+                raise BadData(
+                    f"{place}: the training frames are singular, of {terms} terms {free} vary "
+                    "independently; add frames with more detail or noise"
+                )
             limit = (constraints[p], flat) if preserve else None
             unit = ridge * np.trace(total) / terms / layout.classes / len(layout.levels)
             everywhere = solve_ridge(total, b[:, p].sum(axis=(0, 1)), 0.0, None, limit)
@@ -239,14 +247,14 @@ def symmetries(layout: Layout, exchanges=()):
                 outputs = [swap.get(name, name) for name in layout.outputs]
                 if not set(outputs) <= set(layout.outputs):
                     continue
-                names = [layout.outputs.index(name) for name in outputs]
+                numbers = [layout.outputs.index(name) for name in outputs]
                 swapped = [swap.get(letter, letter) for letter in letters.ravel()]
                 places = np.indices((rows, cols)).reshape(2, -1)
                 places = (places[::-1] if transpose else places) * sign[:, None]
                 for down, right in np.ndindex(rows, cols):
                     y, x = (places[0] + down) % rows, (places[1] + right) % cols
                     if swapped == letters[y, x].tolist():
-                        found.append((y * cols + x, classes, groups, names))
+                        found.append((y * cols + x, classes, groups, numbers))
     return found
 
 

@@ -46,10 +46,22 @@ def layout(
     floor = np.hypot(0.5 / 255, gain * sigma)
     strengths = np.hypot(CLEAN, np.multiply.outer(gain * sigma, NOISY))
     detail = (np.array(OWN_COLOR), np.array(OWN_COLOR)) if pairs else None
-    shares = np.array(SHARES if pairs else ())
-    samples = taps, groups.ravel(), (contrast[0], contrast[1]), box
-    classes = np.array(RATIOS), sigma, floor, strengths, np.array(levels)
-    return Layout(tuple(mosaic), tuple(outputs), domain, *samples, *classes, detail, shares)
+    return Layout(
+        tuple(mosaic),
+        tuple(outputs),
+        domain,
+        taps,
+        groups.ravel(),
+        (contrast[0], contrast[1]),
+        box,
+        np.array(RATIOS),
+        sigma,
+        floor,
+        strengths,
+        np.array(levels),
+        detail,
+        np.array(SHARES if pairs else ()),
+    )
 
 
 def difference(period):

@@ -73,14 +73,16 @@ def _rgb(file):
     """Three channels of a photograph, 0 .. 255."""
     samples = read_samples(file)
     if samples.shape[-1] != 3 or samples.dtype != np.uint8:
-        kind = f"{samples.dtype} of {samples.shape[-1]} channels"
-        raise BadFile(file, f"{kind}; wanted a photograph of 8 bits in RGB")
+        raise BadFile(
+            file,
+            f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in RGB",
+        )
     return samples
 
 
 def provenance(names) -> str:
     """Return the provenance of a table of these photographs, as JSON."""
-    found = {
+    record = {
         "program": f"gpusim {__version__}, gpusim.apps.l3.photographs",
         "date": f"{datetime.date.today()}",
         "photographs": list(names),
@@ -92,7 +94,7 @@ def provenance(names) -> str:
         "weight of blurred frames": BLURRED,
         "protocol": "noise 0: 8-bit sRGB as it is; else linear light in electrons, codes sqrt(e + 3/8 + read^2)",
     }
-    return json.dumps(found)
+    return json.dumps(record)
 
 
 def table(found: NormalEquations, text: str) -> FilterTable:

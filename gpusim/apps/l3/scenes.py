@@ -36,9 +36,15 @@ def training_scenes(count: int, *, light="D65", seed: int = 0, size: int = SIZE)
 
 def _scene(number, light, random, size):
     surfaces = SURFACES[number % len(SURFACES)]
-    leaves = {"surfaces": surfaces, "smallest": SMALLEST[number % len(SMALLEST)]}
-    leaves |= {"size": (size, size), "light": light, "samples_per_pixel": FINENESS}
-    base = chart("deadleaves", seed=int(random.integers(2**31)), **leaves)
+    base = chart(
+        "deadleaves",
+        size=(size, size),
+        light=light,
+        samples_per_pixel=FINENESS,
+        surfaces=surfaces,
+        smallest=SMALLEST[number % len(SMALLEST)],
+        seed=int(random.integers(2**31)),
+    )
     white = np.ones((1, len(WAVELENGTHS)))
     spectra = np.vstack([reflectances(surfaces).at(WAVELENGTHS, outside=None), white])
     ids, shading = base.content.ids.astype(np.uint16), base.content.shading.astype(np.float64)

@@ -107,7 +107,7 @@ def train(
     time = sensor.exposure_time
     made = [f"{generated} generated"] if generated else []
     made += [scene.name for scene in scenes[generated:]]
-    provenance: dict = {
+    provenance = {
         "program": f"gpusim {__version__}",
         "date": f"{datetime.date.today()}",
         "camera": camera.name,
@@ -166,8 +166,9 @@ def simulate_pairs(
         for step, strength in enumerate(strengths[number]):
             brighter = strength * sensor.saturation / (rates.max() * time)
             part = _window(scene.shape, sensor.cfa_indices.shape, random)
-            mean, frame = electrons[part] * brighter, number * steps + step
-            raw = simulator.readout.draw_electrons(mean, time, seed=seed, first=frame)
+            raw = simulator.readout.draw_electrons(
+                electrons[part] * brighter, time, seed=seed, first=number * steps + step
+            )
             span = sensor.white_level - sensor.dark_level
             white = brighter * best * time * sensor.gain_dn_per_electron / span
             yield Pair(raw, wanted[:, *part] * white, white)
@@ -181,9 +182,10 @@ def ideal_colors(scene: Scene, target: str = "D65") -> np.ndarray:
     its light.
     """
     if not scene.light_is_known:
-        what = f"{scene.name}: radiance in an unknown light, which cannot be replaced"
-        wanted = "reflectances and their light, as charts and photographs have them"
-        raise BadData(f"{what}; wanted {wanted}")
+        raise BadData(
+            f"{scene.name}: radiance in an unknown light, which cannot be replaced; wanted "
+            "reflectances and their light, as charts and photographs have them"
+        )
     weights = product_weights(scene.wavelengths, cmf(), illuminant(target))
     return pixel_sums(scene, weights / weights.sum(axis=1)[1])
 
@@ -204,8 +206,9 @@ def training_camera(camera: Camera) -> Camera:
         raise OutOfRange("sensor.binning", sensor.binning, allowed)
     optics = dataclasses.replace(optics, distortion=None, relative_illumination="none")
     noise = dataclasses.replace(sensor.noise, hot_pixels=0.0, dead_pixels=0.0)
-    centred: dict = {"offset": (0.0, 0.0), "microlens": None, "vignetting": None}
-    sensor = dataclasses.replace(sensor, noise=noise, **centred)
+    sensor = dataclasses.replace(
+        sensor, offset=(0.0, 0.0), microlens=None, vignetting=None, noise=noise
+    )
     processor = dataclasses.replace(camera.processor, demosaic="bilinear", table=None)
     return dataclasses.replace(camera, optics=optics, sensor=sensor, processor=processor)
 
@@ -227,9 +230,14 @@ def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], 
     sensor, processor = camera.sensor, camera.processor
     letters = tuple("RGB") if {*"RGB"} <= {*sensor.channels} else sensor.channels[:3]
     method = "white-preserving" if processor.color == "none" else processor.color
-    seen, surfaces = efficiency(camera, letters), processor.training
-    how: dict = {"method": method, "target_light": processor.target, "channels": letters}
-    transform = color_matrix(seen, light, surfaces, **how)
+    transform = color_matrix(
+        efficiency(camera, letters),
+        light,
+        processor.training,
+        method=method,
+        target_light=processor.target,
+        channels=letters,
+    )
     return letters, np.linalg.inv(transform.xyz)
 
 
@@ -249,9 +257,14 @@ def training_layout(mosaic, outputs, code: Code, lowest: float) -> Layout:
     ratios = np.array((12, 24) if positions <= 16 else (16,))
     weights = made.contrast[0] / (abs(made.contrast[0]).sum() / 2)
     strengths = np.hypot(CLEAN, NOISY * np.linalg.norm(weights) / np.sqrt(0.75) * code.sigma)[None]
-    classes: dict = {"ratios": ratios, "detail": None, "shares": np.zeros(0, np.int32)}
-    floor = np.array([0.5 / 255])
-    return dataclasses.replace(made, strengths=strengths, floor=floor, **classes)
+    return dataclasses.replace(
+        made,
+        ratios=ratios,
+        detail=None,
+        shares=np.zeros(0, np.int32),
+        strengths=strengths,
+        floor=np.array([0.5 / 255]),
+    )
 
 
 def _strengths(camera, light, luminances, scenes, seed):
@@ -269,8 +282,11 @@ def _strengths(camera, light, luminances, scenes, seed):
         if values.ndim != 1 or not (np.isfinite(values) & (values > 0)).all():
             raise OutOfRange("luminances", luminances, "positive numbers [cd m-2]")
         if time is None:
-            what = "luminances of a camera that exposes automatically"
-            raise OutOfRange(what, luminances, "none, or a camera file with exposure_time_ms")
+            raise OutOfRange(
+                "luminances of a camera that exposes automatically",
+                luminances,
+                "none, or a camera file with exposure_time_ms",
+            )
         each = rates.max() * time * values / sensor.saturation
         lowest, highest = each.min(), each.max()
         if len(each) != 2:
@@ -294,7 +310,10 @@ def _check_scenes(scenes):
         raise BadData("training: no scenes; wanted some, or generated ones")
     for scene in scenes:
         if min(scene.shape) < SMALLEST:
-            size, least = f"{scene.shape[1]}x{scene.shape[0]} pixels", f"{SMALLEST}x{SMALLEST}"
-            raise OutOfRange(f"size of training scene {scene.name}", size, f"at least {least}")
+            raise OutOfRange(
+                f"size of training scene {scene.name}",
+                f"{scene.shape[1]}x{scene.shape[0]} pixels",
+                f"at least {SMALLEST}x{SMALLEST}",
+            )
         if not scene.light_is_known:
             ideal_colors(scene)  # says why not

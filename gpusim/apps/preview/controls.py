@@ -10,7 +10,18 @@ from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_
 PLACES = 1000  # of a slider
 BEYOND, BEYOND_LOG = 2, 10  # a number that is typed may be as many times as large as a slider's end
 OWN = "the scene's"  # light
-LIGHTS = tuple("D65 D50 A FL2 FL11 LED-B1 LED-B5 LED-RGB1 daylight-10000K blackbody-2000K".split())
+LIGHTS = (
+    "D65",
+    "D50",
+    "A",
+    "FL2",
+    "FL11",
+    "LED-B1",
+    "LED-B5",
+    "LED-RGB1",
+    "daylight-10000K",
+    "blackbody-2000K",
+)
 TOLERANCES = ("exact", "preview", "video", "metrology", "1e-2", "1e-3", "1e-4", "1e-5")
 FILES = "the camera's"  # tone curve
 # of sRGB values: a little contrast, dark parts lifted, bright parts held back
@@ -48,7 +59,6 @@ class Control:
     high: float = 1.0
     unit: str = ""
     is_log: bool = False
-
     choices: tuple[Any, ...] = ()
     item: int | None = None
     off: Any = None
@@ -62,13 +72,15 @@ class Control:
 
     def to_place(self, value: float) -> int:
         """Return the place of the slider for a value, 0 .. PLACES."""
-        low, high, value = self.low, self.high, min(max(value, self.low), self.high)
+        low, high = self.low, self.high
+        value = min(max(value, low), high)
         part = log(value / low) / log(high / low) if self.is_log else (value - low) / (high - low)
         return round(PLACES * part)
 
     def to_value(self, place: int) -> float:
         """Return the value at a place of the slider, to four digits."""
-        low, high, part = self.low, self.high, place / PLACES
+        low, high = self.low, self.high
+        part = place / PLACES
         value = low * (high / low) ** part if self.is_log else low + (high - low) * part
         return float(f"{value:.4g}")
 
@@ -80,8 +92,8 @@ class Control:
         """
         if self.choices:
             if not any(type(value) is type(one) and value == one for one in self.choices):
-                what = f"{self.label} = {format_value(value)}"
-                raise BadData(f"{what}: wanted one of {', '.join(map(str, self.choices))}")
+                known = ", ".join(map(str, self.choices))
+                raise BadData(f"{self.label} = {format_value(value)}: wanted one of {known}")
             return
         if self.off is not None and type(value) is type(self.off) and value == self.off:
             return
@@ -119,12 +131,14 @@ ZERNIKE = {"astigmatism": 5, "coma": 7, "spherical": 10}
 WHITES = tuple(name for name in WHITE_BALANCES if name != "preset")
 GROUPS: dict[str, tuple[Control, ...]] = {
     "Exposure": (
-        _log("sensor", "exposure_time_ms", "exposure", 0.01, 1000.0, "ms", "auto", "auto"),
+        _log(
+            "sensor", "exposure_time_ms", "exposure", 0.01, 1000.0, "ms", off="auto", default="auto"
+        ),
         _log("sensor", "analog_gain", "gain", 1.0, 32.0, default=1.0),
     ),
     "Lens": (
         _log("optics", "f_number", "f-number", 0.7, 32.0),
-        _log("optics", "object_distance_m", "focus", 0.1, 1000.0, "m", inf, inf),
+        _log("optics", "object_distance_m", "focus", 0.1, 1000.0, "m", off=inf, default=inf),
         Control("optics", "defocus_um", "defocus", -50.0, 50.0, "um", default=0.0),
         *(_zernike(label, item) for label, item in ZERNIKE.items()),
     ),

@@ -22,8 +22,8 @@ class Guard:
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": 1008})
                 return
-            plain = [(b"content-type", b"text/plain")]
-            await send({"type": "http.response.start", "status": 403, "headers": plain})
+            headers = [(b"content-type", b"text/plain")]
+            await send({"type": "http.response.start", "status": 403, "headers": headers})
             await send({"type": "http.response.body", "body": b"wrong Host or Origin"})
             return
         await self._inner(scope, receive, send)

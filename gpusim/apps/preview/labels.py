@@ -3,7 +3,7 @@
 from gpusim.domain.account import SHOWN
 
 
-def of_exposure(facts: dict) -> str:
+def describe_exposure(facts: dict) -> str:
     """Return a line with exposure, gain and predicted error of a Picture's facts."""
     verdict = "" if facts["verdict"] is None else f" ({SHOWN[facts['verdict']]})"
     return f"exposure {1e3 * facts['exposure']:.4g} ms  gain {facts['gain']:.3g}  " + (
@@ -14,6 +14,6 @@ def of_exposure(facts: dict) -> str:
     )
 
 
-def of_plan(facts: dict) -> str:
+def describe_plan(facts: dict) -> str:
     """Return a line with the effects that the plan leaves out."""
     return f"left out: {'; '.join(facts['left out']) or 'nothing'}"

@@ -36,9 +36,13 @@ def light(loop: Loop, mean, at: tuple[int, int] | None) -> dict:
         noise = RawNoise.of(sensor, loop.simulator.readout.averaged)
         sigma = float(noise.variance(electrons, temporal=True)) ** 0.5
         numbers = electrons * sensor.gain_dn_per_electron + sensor.dark_level
-        found["pixel"] = {"row": y, "col": x, "electrons": electrons}
-        found["pixel"]["dn"] = float(min(numbers, sensor.white_level))
-        found["pixel"]["snr"] = 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9))
+        found["pixel"] = {
+            "row": y,
+            "col": x,
+            "electrons": electrons,
+            "dn": float(min(numbers, sensor.white_level)),
+            "snr": 20 * log10(max(electrons, 1e-9) / max(sigma, 1e-9)),
+        }
     return found
 
 
@@ -56,8 +60,12 @@ def edge(linear, part: tuple[slice, slice]) -> dict:
     except GpusimError as error:
         return {"why": str(error)}
     seen = found.frequencies <= 1
-    curve = {name: getattr(found, name)[seen].tolist() for name in ("frequencies", "response")}
-    return curve | {"mtf50": half, "angle": float(np.degrees(found.angle))}
+    return {
+        "frequencies": found.frequencies[seen].tolist(),
+        "response": found.response[seen].tolist(),
+        "mtf50": half,
+        "angle": float(np.degrees(found.angle)),
+    }
 
 
 def error_map(mean, truth) -> np.ndarray:
@@ -66,7 +74,8 @@ def error_map(mean, truth) -> np.ndarray:
     wrong = wrong if wrong.ndim == 2 else wrong.mean(axis=0)
     part = np.clip(wrong / max(SPAN * np.sqrt(np.mean(wrong**2)), 1e-300), -1, 1)
     grey = 128 * (1 - np.abs(part))
-    red, blue = (grey + 255 * np.maximum(one, 0) for one in (part, -part))
+    red = grey + 255 * np.maximum(part, 0)
+    blue = grey + 255 * np.maximum(-part, 0)
     codes = np.stack([red, grey, blue], axis=-1)
     return (np.clip(codes, 0, 255) + 0.5).astype(np.uint8)
 

@@ -25,7 +25,7 @@ from gpusim.apps.preview.controls import (
     Control,
 )
 from gpusim.apps.preview.curves import histogram
-from gpusim.apps.preview.labels import of_exposure, of_plan
+from gpusim.apps.preview.labels import describe_exposure, describe_plan
 from gpusim.apps.preview.overrides import Given, table_of
 from gpusim.apps.preview.producer import Producer
 from gpusim.apps.preview.session import DEVICE, HEAD, JPEG, PNG, Session
@@ -39,7 +39,7 @@ from gpusim.io.camera.cameras import camera_table
 from gpusim.io.scene.scenes import open_scene
 from gpusim.pipeline.frame import Frame
 
-COUNTED_EACH = 0.5  # [s] between histograms, while a slider is moved
+HISTOGRAM_INTERVAL = 0.5  # [s] between histograms, while a slider is moved
 STYLE = {"description_width": "9em"}
 
 
@@ -74,13 +74,18 @@ class Preview(HBox):
         self.controls: dict = {}
         self.image = ipywidgets.Image(layout=Layout(width="100%", object_fit="contain"))
         self._producer, self._table, self._history = producer, table, History(state)
-        self._setting = False  # while the controls follow the settings, and not they them
-        self._asked, self._answered = 0, -1  # versions of the settings
-        self._counted = 0.0  # when the last histogram was made
-        self._error, self._known = HTML(), HTML("the first picture is being made")
+        self._is_updating = False  # True while the settings change the controls
+        self._requested_version = 0  # of the settings
+        self._shown_version = -1
+        self._histogram_time = 0.0  # when the last histogram was made
+        self._error = HTML()
+        self._description = HTML("the first picture is being made")
         self._histogram = HTML(layout=Layout(max_width="640px"))
-        super().__init__([self._left(), self._right()], layout=Layout(flex_flow="row wrap"))
-        self._follow()
+        super().__init__(
+            [self._make_picture_column(), self._make_control_column()],
+            layout=Layout(flex_flow="row wrap"),
+        )
+        self._update_controls()
         self._session = _Session(producer, state, self._show)
         self._serving = asyncio.run_coroutine_threadsafe(self._session.run(), _loop())
 
@@ -104,7 +109,7 @@ class Preview(HBox):
     @property
     def is_settled(self) -> bool:
         """Whether the picture or message belongs to the present settings, and is final."""
-        return self._answered == self._asked
+        return self._shown_version == self._requested_version
 
     def close(self):
         """Stop making pictures."""
@@ -113,58 +118,67 @@ class Preview(HBox):
 
     # its parts
 
-    def _left(self):
+    def _make_picture_column(self):
         view = self.controls["view"] = ipywidgets.ToggleButtons(
             options=VIEWS, style={"button_width": "auto"}
         )
-        view.observe(lambda change: self._turn("view", change.new), "value")
+        view.observe(lambda change: self._change_setting("view", change.new), "value")
         steps = []
         for name, step in (("undo", self._history.undo), ("redo", self._history.redo)):
             steps.append(ipywidgets.Button(icon=name, tooltip=name, layout=Layout(width="3em")))
             steps[-1].on_click(partial(self._step, step))
         self._undo, self._redo = steps
         top = [self.image, HBox([view, *steps])]
-        shown = [*top, self._error, self._known, self._histogram]
+        shown = [*top, self._error, self._description, self._histogram]
         return VBox(shown, layout=Layout(flex="1 1 480px"))
 
-    def _right(self):
+    def _make_control_column(self):
         groups = [
-            VBox([self._make(control) for control in controls]) for controls in GROUPS.values()
+            VBox([self._make_field(control) for control in controls])
+            for controls in GROUPS.values()
         ]
-        light = self._choice("light", "light", (OWN, *LIGHTS))
+        light = self._add_choice("light", "light", (OWN, *LIGHTS))
         luminance = self.controls["luminance"] = Number(
-            LUMINANCE, True, partial(self._turn, "luminance")
+            LUMINANCE, True, partial(self._change_setting, "luminance")
         )
         accordion = ipywidgets.Accordion(
             [*groups, VBox([light, luminance])], titles=(*GROUPS, "Light"), selected_index=0
         )
-        numbers = [self._whole("seed", "noise seed"), self._whole("frame", "noise frame")]
-        tolerance = self._choice("tolerance", "tolerance", TOLERANCES)
+        numbers = [
+            self._add_whole_number("seed", "noise seed"),
+            self._add_whole_number("frame", "noise frame"),
+        ]
+        tolerance = self._add_choice("tolerance", "tolerance", TOLERANCES)
         return VBox([tolerance, *numbers, accordion], layout=Layout(flex="0 1 420px"))
 
-    def _make(self, control):
+    def _make_field(self, control):
+        """Return the widget of a control."""
         if control.choices:
-            return self._choice(control.name, control.label, control.choices)
-        number = Number(control, control.off is not None, partial(self._turn, control.name))
+            return self._add_choice(control.name, control.label, control.choices)
+        number = Number(
+            control, control.off is not None, partial(self._change_setting, control.name)
+        )
         self.controls[control.name] = number
         return number
 
-    def _choice(self, name, label, choices):
-        return self._field(name, Dropdown(options=choices, description=label, style=STYLE))
+    def _add_choice(self, name, label, choices):
+        return self._add_field(name, Dropdown(options=choices, description=label, style=STYLE))
 
-    def _whole(self, name, label):
+    def _add_whole_number(self, name, label):
         number = ipywidgets.BoundedIntText(max=2**32 - 1, description=label, style=STYLE)
-        return self._field(name, number)
+        return self._add_field(name, number)
 
-    def _field(self, name, field):
+    def _add_field(self, name, field):
+        """Return a field whose values change the setting of this name."""
         self.controls[name] = field
-        field.observe(lambda change: self._turn(name, change.new), "value")
+        field.observe(lambda change: self._change_setting(name, change.new), "value")
         return field
 
     # actions of the controls
 
-    def _turn(self, name, value, is_slid=False):
-        if self._setting:
+    def _change_setting(self, name, value, is_slid=False):
+        """Change a setting, and ask for its picture. is_slid: by a slider that may still move."""
+        if self._is_updating:
             return
         if name == "light" and value == OWN:
             value = None
@@ -172,21 +186,22 @@ class Preview(HBox):
         if name in CONTROLS:
             changes = {"changes": self.state.changes | changes}
         self._history.set(replace(self.state, **changes), name if is_slid else "")
-        self._go()
+        self._request_picture()
 
     def _step(self, step, _):
         if step():
-            self._go()
+            self._request_picture()
 
-    def _go(self):
-        self._asked += 1
+    def _request_picture(self):
+        """Ask the session for a picture of the present settings."""
+        self._requested_version += 1
         _loop().call_soon_threadsafe(self._session.set, self.state)
-        self._follow()
+        self._update_controls()
 
-    def _follow(self):
+    def _update_controls(self):
         """Put the settings into the controls."""
         state = self.state
-        self._setting = True
+        self._is_updating = True
         try:
             for name, field in self.controls.items():
                 control = CONTROLS.get(name)
@@ -200,7 +215,7 @@ class Preview(HBox):
                     field.options = (*field.options, value)
                 field.value = value
         finally:
-            self._setting = False
+            self._is_updating = False
 
     # output, in the thread of the session
 
@@ -216,15 +231,17 @@ class Preview(HBox):
                 self.image.value = data[HEAD.size :]
             shown = session.shown
             first = f"frame {shown.number}  made in {shown.ms:.0f} ms"
-            text = escape("\n".join([first, of_exposure(shown.facts), of_plan(shown.facts)]))
+            text = escape(
+                "\n".join([first, describe_exposure(shown.facts), describe_plan(shown.facts)])
+            )
             style = "white-space:pre-wrap;line-height:1.4"
-            self._known.value = f'<pre style="{style}">{text}</pre>'
-            if kind == PNG or time.monotonic() - self._counted > COUNTED_EACH:
-                await self._count()
+            self._description.value = f'<pre style="{style}">{text}</pre>'
+            if kind == PNG or time.monotonic() - self._histogram_time > HISTOGRAM_INTERVAL:
+                await self._update_histogram()
         if kind == PNG or not data:
-            self._answered = version
+            self._shown_version = version
 
-    async def _count(self):
+    async def _update_histogram(self):
         try:
             found = await self._session.compute(
                 self._producer.statistics, self._session.state, self._session.shown.number
@@ -232,38 +249,49 @@ class Preview(HBox):
         except Exception:
             return  # the next picture says it, also of a device that fails
         self._histogram.value = histogram(found)
-        self._counted = time.monotonic()
+        self._histogram_time = time.monotonic()
 
 
 class Number(HBox):
     """A slider and a number field, which also takes values beyond the slider's ends.
 
-    is_switched: whether a switch sets the control to its `off`. turned: function that is called
-    with a new value, and whether the slider was moved. slider, number, switch: the widgets; switch
-    may be None.
+    Args:
+        control: Control.
+        has_switch: Whether a switch sets the control to its `off`.
+        on_change: Function that is called with a new value, and with True if the slider was moved.
+
+    Attributes:
+        slider: Slider between the ends of the control.
+        number: Field that also takes values beyond them.
+        switch: Checkbox, or None.
     """
 
-    def __init__(self, control: Control, is_switched: bool, turned):
+    def __init__(self, control: Control, has_switch: bool, on_change):
         self._control, ends = control, (control.low, control.high)
         low, high = map(log10, ends) if control.is_log else ends
         kind = ipywidgets.FloatLogSlider if control.is_log else ipywidgets.FloatSlider
         # until there is a value
         middle = 10 ** ((low + high) / 2) if control.is_log else (low + high) / 2
-        range_ = {"min": low, "max": high, "step": (high - low) / PLACES}
-        layout = Layout(flex="1 1 6em", min_width="6em")
-        self.slider = kind(middle, **range_, readout=False, layout=layout)
+        self.slider = kind(
+            middle,
+            min=low,
+            max=high,
+            step=(high - low) / PLACES,
+            readout=False,
+            layout=Layout(flex="1 1 6em", min_width="6em"),
+        )
         self.number = ipywidgets.FloatText(middle, layout=Layout(width="6.5em"))
         self.switch = None
-        if is_switched:
+        if has_switch:
             self.switch = ipywidgets.Checkbox(indent=False, layout=Layout(width="1.5em"))
         unit = f" [{control.unit}]" if control.unit else ""
-        self.slider.observe(lambda change: turned(float(f"{change.new:.4g}"), True), "value")
+        self.slider.observe(lambda change: on_change(float(f"{change.new:.4g}"), True), "value")
         self.number.observe(
-            lambda change: turned(change.new) if isfinite(change.new) else None, "value"
+            lambda change: on_change(change.new) if isfinite(change.new) else None, "value"
         )
         if self.switch:
             self.switch.observe(
-                lambda change: turned(self.number.value if change.new else control.off), "value"
+                lambda change: on_change(self.number.value if change.new else control.off), "value"
             )
         label = ipywidgets.Label(control.label + unit, layout=Layout(width="10.5em"))
         parts = [label, self.slider, self.number]
@@ -272,15 +300,15 @@ class Number(HBox):
     def show(self, value):
         """Show a value. A control that is off, or has no number, is greyed out."""
         control = self._control
-        there = isinstance(value, int | float) and value != control.off
-        if there:
+        has_number = isinstance(value, int | float) and value != control.off
+        if has_number:
             # not the moving slider: the value would arrive after it has moved on
             if f"{value:.4g}" != f"{self.slider.value:.4g}":
                 self.slider.value = min(max(value, control.low), control.high)
             self.number.value = value
-        self.slider.disabled = self.number.disabled = not there
+        self.slider.disabled = self.number.disabled = not has_number
         if self.switch:
-            self.switch.value = there
+            self.switch.value = has_number
 
 
 class _Session(Session):
@@ -302,8 +330,8 @@ class _Session(Session):
 
         await self.serve(send, painted.get)
 
-    async def _make(self, version, settles):
-        data = await super()._make(version, settles)
+    async def _make_picture(self, version, settles):
+        data = await super()._make_picture(version, settles)
         await self._show(version, PNG if settles else JPEG, data)
         return data
 

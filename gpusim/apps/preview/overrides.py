@@ -17,35 +17,44 @@ class Given(State):
 
     def table(self) -> dict:
         """Raise BadData: there is no file."""
-        what = f"camera {self.camera!r} is an object without a file"
-        raise BadData(f"{what}; wanted a camera's name or a camera file")
+        raise BadData(
+            f"camera {self.camera!r} is an object without a file; wanted a camera's name or a camera "
+            "file"
+        )
 
     def build(self) -> Camera:
         """Return the camera. Raises GpusimError."""
         camera = self.given
         assert camera is not None
-        own = {"zernike_waves": _lists(camera.optics.wavefront.zernike)}
-        table = self.apply_changes({"optics": own})
+        zernike = _lists(camera.optics.wavefront.zernike)
+        table = self.apply_changes({"optics": {"zernike_waves": zernike}})
         optics, sensor, noise, processor = (
             section_fields(camera.name, table, section)
             for section in ("optics", "sensor", "noise", "processor")
         )
         optics["wavefront"] = replace(camera.optics.wavefront, zernike=optics.pop("zernike"))
         sensor["noise"] = replace(camera.sensor.noise, **noise)
-        lens, chip = replace(camera.optics, **optics), replace(camera.sensor, **sensor)
-        processor = replace(camera.processor, **processor)
-        return replace(camera, optics=lens, sensor=chip, processor=processor)
+        return replace(
+            camera,
+            optics=replace(camera.optics, **optics),
+            sensor=replace(camera.sensor, **sensor),
+            processor=replace(camera.processor, **processor),
+        )
 
 
 def table_of(camera: Camera) -> dict:
     """Return the values of the controls as in a camera file, to 12 digits, for display only."""
-    parts = {name: getattr(camera, name) for name in ("optics", "sensor", "processor")}
-    parts["noise"] = camera.sensor.noise
+    parts = {
+        "optics": camera.optics,
+        "sensor": camera.sensor,
+        "noise": camera.sensor.noise,
+        "processor": camera.processor,
+    }
     table: dict = {section: {} for section in parts}
     for control in CONTROLS.values():
         field, read = SECTIONS[control.section][control.key]
-        of = camera.optics.wavefront if field == "zernike" else parts[control.section]
-        value = getattr(of, field)
+        owner = camera.optics.wavefront if field == "zernike" else parts[control.section]
+        value = getattr(owner, field)
         if value is None:
             value = control.off
         elif isinstance(value, float):

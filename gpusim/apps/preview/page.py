@@ -25,7 +25,7 @@ from gpusim.apps.preview.controls import (
     Control,
 )
 from gpusim.apps.preview.curves import histogram, response
-from gpusim.apps.preview.labels import of_exposure, of_plan
+from gpusim.apps.preview.labels import describe_exposure, describe_plan
 from gpusim.apps.preview.measures import SPAN
 from gpusim.apps.preview.session import Session
 from gpusim.apps.preview.sessions import Sessions
@@ -56,9 +56,9 @@ class Page:
         self.session, self._title, self._scene = session, title, scene
         self._canvas = Canvas(session, token, shape)
         self._fields: dict[str, Any] = {}
-        self._setting = False  # while the page follows the settings, and not they it
+        self._is_updating = False  # while the page follows the settings, and not they it
         self._is_step = False  # whether the next change is one, whatever was before
-        self._turned = ""  # the control that was moved last
+        self._last_control = ""  # the control that was moved last
         self._refused = ""  # the control with an error message
         self._table: dict = {}
 
@@ -83,7 +83,7 @@ class Page:
         ui.keyboard(on_key=self._on_key)
         ui.timer(0.25, self._refresh)
         ui.timer(0.5, self._statistics)
-        self._follow()
+        self._update_controls()
 
     def _build_picture(self):
         self._canvas.build()
@@ -126,16 +126,18 @@ class Page:
         button = ui.button(icon=icon, on_click=does).props(f'flat dense aria-label="{words}"')
         self._keep(icon, button.tooltip(words))
 
-    def _switch(self, name, words, turned):
-        switch = ui.switch(words, on_change=lambda event: turned(event.value))
+    def _switch(self, name, words, on_change):
+        switch = ui.switch(words, on_change=lambda event: on_change(event.value))
         return self._keep(name, switch)
 
-    def _bar(self, name, words, most, turned, classes):
-        slider = ui.slider(min=0, max=most, on_change=lambda event: turned(event.value))
+    def _bar(self, name, words, most, on_change, classes):
+        slider = ui.slider(min=0, max=most, on_change=lambda event: on_change(event.value))
         return self._keep(name, slider.props(f'aria-label="{words}"'), classes)
 
-    def _choice(self, name, label, choices, turned, classes="w-full"):
-        select = ui.select(list(choices), label=label, on_change=lambda event: turned(event.value))
+    def _choice(self, name, label, choices, on_change, classes="w-full"):
+        select = ui.select(
+            list(choices), label=label, on_change=lambda event: on_change(event.value)
+        )
         self._keep(name, select, classes)
 
     @property
@@ -178,15 +180,15 @@ class Page:
             self._slider("luminance", LUMINANCE, self._luminance)
 
     def _build_control(self, control: Control):
-        def turned(value):
-            self._turn(control, value)
+        def on_change(value):
+            self._change_setting(control, value)
 
         if control.choices:
-            self._choice(control.name, control.label, control.choices, turned)
+            self._choice(control.name, control.label, control.choices, on_change)
         else:
-            self._slider(control.name, control, turned)
+            self._slider(control.name, control, on_change)
 
-    def _slider(self, name, control, turned):
+    def _slider(self, name, control, on_change):
         with ui.row(wrap=False).classes(f"{ROW} -my-1"):
             is_on = None
             if control.off is not None:
@@ -197,43 +199,43 @@ class Page:
             ui.label(control.label).classes("w-24 text-sm shrink-0")
 
             def slid(place):
-                self._slide(turned, control.to_value(place))
+                self._slide(on_change, control.to_value(place))
 
             slider = self._bar(name, control.label, PLACES, slid, "grow")
             number = ui.number(suffix=control.unit or None).classes("w-28 shrink-0")
             number.props("dense borderless").props(mark(f"{name} number"))
-            number.on("change", lambda: self._take_number(turned, number.value))
+            number.on("change", lambda: self._take_number(on_change, number.value))
         self._fields[name] = (slider, number, is_on, control)
 
     # actions of the controls
 
-    def _slide(self, turned, value):
-        if not self._setting:
-            turned(value)
+    def _slide(self, on_change, value):
+        if not self._is_updating:
+            on_change(value)
 
-    def _take_number(self, turned, value):
+    def _take_number(self, on_change, value):
         """Take a typed number, as a separate step of the history."""
         self._is_step = True
         if value is not None and isfinite(value):
-            turned(float(value))
+            on_change(float(value))
         else:
-            self._follow()
+            self._update_controls()
 
     def _turn_on(self, control, is_on, place):
-        if not self._setting:
-            self._turn(control, control.to_value(place) if is_on else control.off)
+        if not self._is_updating:
+            self._change_setting(control, control.to_value(place) if is_on else control.off)
 
-    def _turn(self, control, value):
+    def _change_setting(self, control, value):
         self._set(control.name, changes={**self.session.state.changes, control.name: value})
 
     def _set(self, by="", **changes):
-        if self._setting:
+        if self._is_updating:
             return
         if by in self._fields:
-            self._turned = by
+            self._last_control = by
         self.session.set(replace(self.session.state, **changes), "" if self._is_step else by)
         self._is_step = False
-        self._follow(by)
+        self._update_controls(by)
 
     def _camera(self, name):
         self._set(camera=name, changes={})
@@ -273,15 +275,15 @@ class Page:
             self._set(**state.against, against={"camera": state.camera, "changes": state.changes})
 
     def _undo(self):
-        self._go(self.session.history.undo)
+        self._step_history(self.session.history.undo)
 
     def _redo(self):
-        self._go(self.session.history.redo)
+        self._step_history(self.session.history.redo)
 
-    def _go(self, step):
+    def _step_history(self, step):
         if step():
             self.session.touch()
-            self._follow()
+            self._update_controls()
 
     def _on_key(self, event):
         if not event.action.keydown or (event.action.repeat and event.key == " "):
@@ -316,7 +318,7 @@ class Page:
 
     # output of the page
 
-    def _follow(self, only=""):
+    def _update_controls(self, only=""):
         """Put the settings into the controls.
 
         only: the control that moved, if no other can have changed.
@@ -329,26 +331,24 @@ class Page:
                 _, self._table = camera_table(state.camera)
             except GpusimError:
                 return
-        self._setting = True
+        self._is_updating = True
         try:
             for control in [CONTROLS[only]] if only in CONTROLS else CONTROLS.values():
                 self._show(control.name, state.value(control, self._table))
             if only in CONTROLS:
                 return
             self._show("luminance", state.luminance)
-            self._fields["live"].value, self._fields["light"].value = (
-                state.is_live,
-                state.light or OWN,
-            )
             for name in ("view", "camera", "tolerance"):
                 self._fields[name].value = getattr(state, name)
+            self._fields["live"].value = state.is_live
+            self._fields["light"].value = state.light or OWN
             for name in ("swap", "no B", "split"):
                 self._fields[name].visible = state.against is not None
             self._fields["split"].value = PLACES * state.split
             if self._is_moving:
                 self._fields["frame"].value = state.frame
         finally:
-            self._setting = False
+            self._is_updating = False
 
     def _show(self, name, value):
         field = self._fields[name]
@@ -369,7 +369,7 @@ class Page:
         session = self.session
         session.used = time.monotonic()
         self._fields["error"].text = session.error
-        wrong = self._turned if session.error else ""
+        wrong = self._last_control if session.error else ""
         if wrong != self._refused:
             for name, error in ((self._refused, None), (wrong, session.error)):
                 if name:
@@ -382,24 +382,27 @@ class Page:
         if shown is None:
             return
         if self._is_moving and session.state.is_live:
-            self._setting = True
+            self._is_updating = True
             self._fields["frame"].value = shown.number
-            self._setting = False
+            self._is_updating = False
         self._fields["known"].text = (
             f"frame {shown.number}  {session.rate:4.1f} fps  {session.latency:4.0f} ms  made in {shown.ms:4.0f} ms  "
-            f"{of_exposure(shown.facts)}"
+            f"{describe_exposure(shown.facts)}"
         )
-        self._fields["left out"].text = of_plan(shown.facts)
+        self._fields["left out"].text = describe_plan(shown.facts)
 
     async def _statistics(self):
         session = self.session
         if session.shown is None or session.error:
             return
         part = self._canvas.edge if self._canvas.measures else None
-        number, at = session.shown.number, self._canvas.at
         try:
             found = await session.compute(
-                session.producer.statistics, session.state, number, at, part
+                session.producer.statistics,
+                session.state,
+                session.shown.number,
+                self._canvas.at,
+                part,
             )
         except Exception:
             return  # the picture says it, also of a device that fails
@@ -409,13 +412,17 @@ class Page:
                 f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
                 f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB"
             )
-        words = "ColorChecker: mean Delta E 2000 {difference:.2f}" if "difference" in found else ""
-        self._fields["difference"].text = words.format(**found)
+        difference = ""
+        if "difference" in found:
+            difference = f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
+        self._fields["difference"].text = difference
         edge = found.get("edge", {})
-        words = "MTF50 {mtf50:.3f} cycle/pixel, edge at {angle:.1f} degrees"
-        has_edge = "mtf50" in edge
-        self._fields["edge"].text = words.format(**edge) if has_edge else edge.get("why", "")
-        self._fields["response"].content = response(edge) if has_edge else ""
+        text, curve = edge.get("why", ""), ""
+        if "mtf50" in edge:
+            text = f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees"
+            curve = response(edge)
+        self._fields["edge"].text = text
+        self._fields["response"].content = curve
 
     # saved files
 

@@ -66,17 +66,26 @@ class Producer:
         """
         begun = time.perf_counter()
         loop = self._update(state, number, drafts)
-        show = {"rendered": self._render, "raw": self._raw}
-        show |= {"electrons": self._electrons, "noise": self._noise}
+        show = {
+            "rendered": self._render,
+            "raw": self._raw,
+            "electrons": self._electrons,
+            "noise": self._noise,
+        }
         codes = np.ascontiguousarray(show[state.view](loop, state.seed, number))
         account, exposure = loop.account, loop.exposure
         plan = loop.plan
         tolerance = None if plan.is_draft else loop.simulator.tolerance
         verdict = None if tolerance is None else account.verdict(tolerance)
-        facts: dict = {"error": account.total.rms, "left out": plan.left_out}
-        facts |= {"draft": plan.is_draft, "verdict": verdict and verdict.state}
-        facts["unknown"] = verdict.unknown if verdict else account.unknown
-        facts |= {"exposure": exposure.exposure_time, "gain": exposure.gain}
+        facts = {
+            "error": account.total.rms,
+            "left out": plan.left_out,
+            "draft": plan.is_draft,
+            "verdict": verdict and verdict.state,
+            "unknown": verdict.unknown if verdict else account.unknown,
+            "exposure": exposure.exposure_time,
+            "gain": exposure.gain,
+        }
         if state.other is None:
             self._other = None  # frees its memory on the device
         else:
@@ -111,8 +120,10 @@ class Producer:
         def compare():
             mean, truth = mean_and_truth(simulator, scene, exposure)
             if mean.ndim == 1:
-                what = "the reference of a blur that varies over the field"
-                raise BadData(f"error map: the frame is too large for {what}")
+                raise BadData(
+                    "error map: the frame is too large for the reference of a blur that varies over "
+                    "the field"
+                )
             error = Error.between(mean, truth, simulator.camera.sensor.read_sigma)
             return error_map(mean, truth), error
 
@@ -159,8 +170,8 @@ class Producer:
             simulator = Simulator(camera, device=self._device, tolerance=state.asked)
             self._loop, self._tolerance = simulator.loop(scene), state.tolerance
         changes = {}
-        is_draft = not drafts and self._loop.plan.is_draft
-        if camera is not self._loop.simulator.camera or is_draft:
+        must_plan = not drafts and self._loop.plan.is_draft
+        if camera is not self._loop.simulator.camera or must_plan:
             changes["camera"] = camera
         if scene is not self._loop.scene:
             changes["scene"] = scene
@@ -180,7 +191,9 @@ class Producer:
         if self._shown[0] != number:
             if number != self._next:
                 self._arriving = self._scenes.between(number, self._scenes.count)
-            self._shown, self._next = (number, next(self._arriving)), number + 1
+            self._next = -1  # if the scene cannot be read, the next request starts anew
+            self._shown = number, next(self._arriving)
+            self._next = number + 1
         own = self._shown[1]
         if state.light is None and state.luminance is None:
             return own
@@ -228,8 +241,10 @@ def _encode(light):
 def _beside(codes, others, split):
     """Return one picture on the left of a line, and another on its right."""
     if codes.shape != others.shape:
-        what = f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels"
-        raise BadData(f"{what}; wanted {codes.shape[1]}x{codes.shape[0]}, as this one's has")
+        raise BadData(
+            f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
+            f"{codes.shape[1]}x{codes.shape[0]}, as this one's has"
+        )
     at = round(split * codes.shape[1])
     codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
     codes[:, max(at - 1, 0) : at + 1] = 255

@@ -113,7 +113,7 @@ class Session:
                     ):
                         continue
                 start = time.monotonic()
-                data = await self._make(version, settles)
+                data = await self._make_picture(version, settles)
                 while data and len(begun) >= most and self.version == version:
                     await self._change()
                 if data and len(begun) < most:  # else there are newer settings
@@ -148,7 +148,7 @@ class Session:
         self._changed.clear()
         await self._changed.wait()
 
-    async def _make(self, version, settles):
+    async def _make_picture(self, version, settles):
         """Return a frame's bytes; none if the settings make no picture, and the last one stays."""
         state, crop = self.state, self.crop
         if state.is_live:

@@ -123,8 +123,10 @@ class PictureBatch:
         shape = tuple(values.shape)
         channels = (1, 3) if self.wavelengths is None else (len(self.wavelengths),)
         if len(shape) != 4 or 0 in shape or shape[1] not in channels:
-            what = f"pictures: {shape}, wanted (pictures, channels"
-            raise BadData(f"{what}, rows, cols), {' or '.join(map(str, channels))} channels")
+            raise BadData(
+                f"pictures: {shape}, wanted (pictures, channels, rows, cols), "
+                f"{' or '.join(map(str, channels))} channels"
+            )
         if type_of(values) not in (np.float16, np.float32, np.float64):
             why = f"pictures: values of type {values.dtype}, wanted floats: linear light, not codes"
             raise BadData(why)
@@ -134,8 +136,11 @@ class PictureBatch:
             found = "negative light" if lowest < 0 else "NaN"
             raise BadData(f"pictures: {found} (lowest {lowest:.4g}), wanted 0 or more")
         scenes = [self._scene(values[item]) for item in range(shape[0])]
-        settings = {"exposure_time": _as_numbers(exposure_time), "gain": _as_numbers(gain)}
-        settings["camera"] = camera
+        settings = {
+            "camera": camera,
+            "exposure_time": _as_numbers(exposure_time),
+            "gain": _as_numbers(gain),
+        }
         if self.simulator.tolerance is None or self._plan is not None:
             batch = self._batch(shape)
             frames = batch(scenes, seed=seed, first=first, **settings)
@@ -161,9 +166,11 @@ class PictureBatch:
         if self.wavelengths is not None:
             content = Cube(self.wavelengths, values)
         else:
-            nodes, primaries = srgb_primaries().wavelengths, srgb_primaries().values
-            is_grey = values.shape[0] != 3
-            content = Basis(nodes, values, np.ones((1, len(nodes))) if is_grey else primaries)
+            primaries = srgb_primaries()
+            spectra = primaries.values
+            if values.shape[0] != 3:  # grey
+                spectra = np.ones((1, len(primaries.wavelengths)))
+            content = Basis(primaries.wavelengths, values, spectra)
         return Scene(content, self._light, name="picture", **self._options)
 
     def _batch(self, shape):

@@ -57,14 +57,14 @@ class Views:
             if key.startswith(COLOUR)
         }
         if not found:
-            what = f"rendered data: {', '.join(map(str, data)) or 'nothing'}"
-            raise BadData(f"{what}; wanted {COLOUR}: attach that annotator")
+            names = ", ".join(map(str, data)) or "nothing"
+            raise BadData(f"rendered data: {names}; wanted {COLOUR}: attach that annotator")
         frames = {}
         for name in sorted(found):
             batch = self._batches.get(name) or self._batches.get("")
             if batch is None:
-                what = f"rendered data: no camera for the view {name!r}"
-                raise BadData(f"{what}; there are {', '.join(self._batches)}")
+                known = ", ".join(self._batches)
+                raise BadData(f"rendered data: no camera for the view {name!r}; there are {known}")
             picture = channels_first(found[name])
             # depends only on the name: other views may come and go
             own = (seed + crc32(name.encode())) % 2**64

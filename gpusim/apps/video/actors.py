@@ -43,9 +43,11 @@ class Cast:
         own = dict(self.numbers)
         content, alpha = read_cutout(self.path)
         down, right = own.get("pan", (0.0, 0.0))
-        (roll,), (zoom,) = own.get("roll", (0.0,)), own.get("zoom", (1.0,))
-        (zooming,) = own.get("zooming", (1.0,))
-        row, col = own.get("at", (0.0, 0.0))
-        return Actor(
-            content, alpha, (row, col), Motion((down, right), radians(roll), zoom, zooming)
+        path = Motion(
+            (down, right),
+            radians(own.get("roll", (0.0,))[0]),
+            own.get("zoom", (1.0,))[0],
+            own.get("zooming", (1.0,))[0],
         )
+        row, col = own.get("at", (0.0, 0.0))
+        return Actor(content, alpha, (row, col), path)

@@ -64,12 +64,12 @@ class Codec:
 LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
 PART = ".nut"  # suffix of a segment's file, a container for any encoder
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
-BOTH = (".mp4", ".mkv")
+CONTAINERS = (".mp4", ".mkv")
 X264 = ("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")
 X265 = ("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")
 CODECS = {
-    "h264": Codec("libx264", "codes", "yuv420p", "rgb24", BOTH, X264, "crf"),
-    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", BOTH, X265, "crf"),
+    "h264": Codec("libx264", "codes", "yuv420p", "rgb24", CONTAINERS, X264, "crf"),
+    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", CONTAINERS, X265, "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
 }
@@ -151,8 +151,10 @@ def codec_of(path: Path, name: str | None) -> Codec:
         raise OutOfRange("--codec", f"{name} in {path.suffix}", allowed)
     if codec.encoder not in known:
         there = [other for other, one in CODECS.items() if one.encoder in known]
-        what = f"codec {name}: this PyAV has no encoder {codec.encoder}"
-        raise GpusimError(f"{what}; it has encoders for {', '.join(there) or 'none of the codecs'}")
+        raise GpusimError(
+            f"codec {name}: this PyAV has no encoder {codec.encoder}; it has encoders for "
+            f"{', '.join(there) or 'none of the codecs'}"
+        )
     return codec
 
 
@@ -190,7 +192,8 @@ class Encoder:
         if quality is not None and not codec.quality:
             raise Conflict("--quality", "ffv1 is lossless", "leave it out")
         self.codec, self.rate, self.shape = codec, rate, shape
-        self._display, self._tone, self._options = display, tone, dict(codec.options)
+        self._display, self._tone = display, tone
+        self._options = dict(codec.options)
         if quality is not None:
             self._options[codec.quality] = f"{quality:g}"
 
@@ -247,7 +250,8 @@ class Encoder:
 
     def _tag(self, context):
         """Set the tags of the colours."""
-        display, known = self._display, UNKNOWN
+        display = self._display
+        known = UNKNOWN
         if display.name in DISPLAYS and display.encodes_like(DISPLAYS[display.name]):
             known = PRIMARIES.get(display.name, UNKNOWN)
         curve = SRGB_CURVE if display.curve == "srgb" else UNKNOWN

@@ -108,22 +108,28 @@ class Episode(EncodedFile):
             return NEW, []
         with reading(path, "the information on a LeRobot data set"):
             info = json.loads(read_text(path, "JSON"))
-            version, fps = info["codebase_version"], info["fps"]
+            version = info["codebase_version"]
             if version != VERSION:
                 raise BadFile(path, f"is of LeRobot's version {version}; wanted {VERSION}")
             there = {name: _kind(feature) for name, feature in info["features"].items()}
-            if fps != self._rate:
-                what = f"--fps of an episode in {self._root}"
-                raise OutOfRange(what, self._rate, f"{fps}, as the others")
+            if info["fps"] != self._rate:
+                raise OutOfRange(
+                    f"--fps of an episode in {self._root}",
+                    self._rate,
+                    f"{info['fps']}, as the others",
+                )
         here = {name: _kind(feature) for name, feature in self._features.items()}
         others = sorted(
             name for name in here.keys() | there.keys() if here.get(name) != there.get(name)
         )
         if others:
-            own = ", ".join(f"{name} {here.get(name, 'none')}" for name in others)
+            ours = ", ".join(f"{name} {here.get(name, 'none')}" for name in others)
             theirs = ", ".join(f"{name} {there.get(name, 'none')}" for name in others)
-            what = f"features of an episode in {self._root}"
-            raise OutOfRange(what, own, f"the features of the others, {theirs}")
+            raise OutOfRange(
+                f"features of an episode in {self._root}",
+                ours,
+                f"the features of the others, {theirs}",
+            )
         tables = sorted(self._root.glob("meta/episodes/*/*.parquet"))
         with reading(self._root / "meta/episodes", "tables of episodes"):
             rows = [row for table in tables for row in _read_rows(table, "episode_index")]
@@ -170,27 +176,44 @@ class Episode(EncodedFile):
         if not self._is_complete():
             return False
         last: dict[str, Any] = self._before[-1] if self._before else {}
-        names, size = ("data", f"videos/{self._key}", "meta/episodes"), self._info["chunks_size"]
-        places = {name: _following(last, name, size) for name in names}
-        (data, video, episodes), info = places.values(), self._info
+        info = self._info
+        videos = f"videos/{self._key}"
+        places = {
+            name: _following(last, name, info["chunks_size"])
+            for name in ("data", videos, "meta/episodes")
+        }
+        data, video, episodes = places.values()
         tasks = self._tasks()
         table, statistics, length = self._table(tasks.index(self._task))
         begin = last.get("dataset_to_index", 0)
-        row: dict[str, Any] = {"episode_index": self.number, "tasks": [self._task]}
-        row |= {"length": length, "dataset_from_index": begin, "dataset_to_index": begin + length}
+        row: dict[str, Any] = {
+            "episode_index": self.number,
+            "tasks": [self._task],
+            "length": length,
+            "dataset_from_index": begin,
+            "dataset_to_index": begin + length,
+        }
         for name, (chunk, file) in places.items():
-            row |= {f"{name}/chunk_index": chunk, f"{name}/file_index": file}
-        times = f"videos/{self._key}"
-        row |= {f"{times}/from_timestamp": 0.0, f"{times}/to_timestamp": length / self._rate}
+            row[f"{name}/chunk_index"] = chunk
+            row[f"{name}/file_index"] = file
+        row[f"{videos}/from_timestamp"] = 0.0
+        row[f"{videos}/to_timestamp"] = length / self._rate
         whole = {}
-        for name, one in statistics.items():
-            own = {f"stats/{name}/{which}": value for which, value in one.items()}
-            row |= own
-            earlier = [[before[key] for key in own] for before in self._before]
-            whole[name] = _together([*(dict(zip(one, old, strict=True)) for old in earlier), one])
-        info = info | {"fps": self._rate, "features": info.get("features", self._features)}
-        info |= {"total_episodes": self.number + 1, "total_frames": begin + length}
-        info |= {"total_tasks": len(tasks), "splits": {"train": f"0:{self.number + 1}"}}
+        for name, own in statistics.items():
+            for which, value in own.items():
+                row[f"stats/{name}/{which}"] = value
+            earlier = [
+                {which: before[f"stats/{name}/{which}"] for which in own} for before in self._before
+            ]
+            whole[name] = _together([*earlier, own])
+        info = info | {
+            "fps": self._rate,
+            "features": info.get("features", self._features),
+            "total_episodes": self.number + 1,
+            "total_frames": begin + length,
+            "total_tasks": len(tasks),
+            "splits": {"train": f"0:{self.number + 1}"},
+        }
         arrow = pyarrow()
         written = [
             (_path(info["video_path"], video, video_key=self._key), self._join),
@@ -242,8 +265,15 @@ class Episode(EncodedFile):
         known = np.concatenate([one for one, _ in notes])
         frames = np.arange(len(known))
         begin = self._before[-1]["dataset_to_index"] if self._before else 0
-        values = [*known.T, self._seed, frames / self._rate, frames]
-        values += [self.number, begin + frames, task]
+        values = [
+            *known.T,
+            self._seed,
+            frames / self._rate,
+            frames,
+            self.number,
+            begin + frames,
+            task,
+        ]
         columns = {
             name: np.broadcast_to(one, frames.shape).astype(kind)
             for (name, kind), one in zip(COLUMNS.items(), values, strict=True)
@@ -252,8 +282,8 @@ class Episode(EncodedFile):
         for name, one in columns.items():
             found = _statistics(one, np.ones(len(one)))
             statistics[name] = {which: [value] for which, value in found.items()}
-        codes, counts = np.arange(CODES) / (CODES - 1), sum(one for _, one in notes)
-        channels = [_statistics(codes, count) for count in counts]
+        codes = np.arange(CODES) / (CODES - 1)
+        channels = [_statistics(codes, count) for count in sum(one for _, one in notes)]
         statistics[self._key] = {
             which: [[[one[which]]] for one in channels] for which in channels[0]
         }
@@ -264,9 +294,16 @@ class Episode(EncodedFile):
 
 def _features(key, shape, rate):
     rows, cols = shape
-    info = {"height": rows, "width": cols, "codec": "h264", "pix_fmt": "yuv420p"}
-    info |= {"is_depth_map": False, "fps": rate, "channels": 3}
-    info = {f"video.{name}": value for name, value in info.items()} | {"has_audio": False}
+    info = {
+        "video.height": rows,
+        "video.width": cols,
+        "video.codec": "h264",
+        "video.pix_fmt": "yuv420p",
+        "video.is_depth_map": False,
+        "video.fps": rate,
+        "video.channels": 3,
+        "has_audio": False,
+    }
     names = ["height", "width", "channels"]
     video = {"dtype": "video", "shape": [rows, cols, 3], "names": names, "info": info}
     return {key: video} | {
@@ -300,8 +337,12 @@ def _statistics(values, weights):
     """Return weighted statistics of values (n,)."""
     there, mean = values[weights > 0], np.average(values, weights=weights)
     quantiles = np.quantile(values.astype(float), QUANTILES, weights=weights, method="inverted_cdf")
-    found = {"min": there.min().item(), "max": there.max().item(), "mean": float(mean)}
-    found["std"] = float(np.sqrt(np.average((values - mean) ** 2, weights=weights)))
+    found = {
+        "min": there.min().item(),
+        "max": there.max().item(),
+        "mean": float(mean),
+        "std": float(np.sqrt(np.average((values - mean) ** 2, weights=weights))),
+    }
     for part, value in zip(QUANTILES, quantiles, strict=True):
         found[f"q{round(100 * part):02d}"] = float(value)
     return found
@@ -317,18 +358,33 @@ def _together(parts):
 
     mean = average(of["mean"])
     found = {which: average(values) for which, values in of.items()}
-    found |= {"min": of["min"].min(0), "max": of["max"].max(0), "count": count.sum(0)}
+    found["min"] = of["min"].min(0)
+    found["max"] = of["max"].max(0)
+    found["count"] = count.sum(0)
     found["std"] = np.sqrt(average(of["std"] ** 2 + (of["mean"] - mean) ** 2))
     return {which: value.tolist() for which, value in found.items()}
 
 
 def _task_table(tasks):
     """Return the table of tasks. Its metadata declare them as the index of a pandas table."""
-    metadata: dict[str, Any] = {"index_columns": ["task"], "column_indexes": []}
-    metadata |= {"pandas_version": "2.0.0", "columns": []}
-    kinds = (("task_index", "int64", "int64"), ("task", "unicode", "object"))
-    for name, kind, numpy in kinds:
-        column = {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy}
-        metadata["columns"].append(column | {"metadata": None})
+    columns = [
+        {
+            "name": name,
+            "field_name": name,
+            "pandas_type": kind,
+            "numpy_type": numpy,
+            "metadata": None,
+        }
+        for name, kind, numpy in (
+            ("task_index", "int64", "int64"),
+            ("task", "unicode", "object"),
+        )
+    ]
+    metadata = {
+        "index_columns": ["task"],
+        "column_indexes": [],
+        "pandas_version": "2.0.0",
+        "columns": columns,
+    }
     table = pyarrow().table({"task_index": range(len(tasks)), "task": tasks})
     return table.replace_schema_metadata({"pandas": json.dumps(metadata)})

@@ -88,8 +88,10 @@ def _keep(path, made, outputs):
     except (ValueError, AttributeError, RecursionError) as error:
         raise BadFile(path, f"not a manifest ({error}); remove it and {outputs}") from error
     if others:
-        what = f"a run with other {', '.join(others)}"
-        raise BadFile(path, f"{what}; give -o another name, or remove it and {outputs}")
+        names = ", ".join(others)
+        raise BadFile(
+            path, f"a run with other {names}; give -o another name, or remove it and {outputs}"
+        )
 
 
 def _find_differences(made, found):

@@ -53,8 +53,13 @@ class Ramps:
             return camera
         from gpusim.color.speed import operate_camera
 
-        controls: dict = {name.replace("-", "_"): values.get(name) for name in CAMERA}
-        return operate_camera(camera, **controls)
+        return operate_camera(
+            camera,
+            exposure=values.get("exposure"),
+            iso=values.get("iso"),
+            f_number=values.get("f-number"),
+            focus=values.get("focus"),
+        )
 
     def scene(self, scene: "Scene", part: float) -> "Scene":
         """Return the scene in the light at a part of the video."""

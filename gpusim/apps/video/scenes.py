@@ -122,8 +122,10 @@ class Moving:
 def check_size(scene: Scene, shape, name, first) -> Scene:
     """Return a scene unchanged. Raises BadData if its frame has another size than the first one."""
     if scene.shape != shape:
-        what = f"{name}: a frame of {scene.shape[1]}x{scene.shape[0]} pixels"
-        raise BadData(f"{what}, after {shape[1]}x{shape[0]} of {first}; a video has one size")
+        raise BadData(
+            f"{name}: a frame of {scene.shape[1]}x{scene.shape[0]} pixels, after "
+            f"{shape[1]}x{shape[0]} of {first}; a video has one size"
+        )
     return scene
 
 
@@ -143,12 +145,18 @@ def numbered_files(folder: Path) -> list[Path]:
     for path in found:
         parts, (kind, _) = NUMBERED.fullmatch(path.stem), next(iter(numbers.values()), (None, 0))
         if parts is None:
-            what = "its name does not end in a number, so its place in the video is unknown"
-            raise BadFile(path, f"{what}; move it away, or give the files one by one")
+            raise BadFile(
+                path,
+                "its name does not end in a number, so its place in the video is unknown; move it "
+                "away, or give the files one by one",
+            )
         numbers[path] = (parts[1], path.suffix), int(parts[2])
         if kind not in (None, numbers[path][0]):
-            what = f"files of two videos: {found[0].name} and {path.name}; give one of them"
-            raise BadFile(folder, f"{what}, for example {folder / '*'.join(kind)}")
+            raise BadFile(
+                folder,
+                f"files of two videos: {found[0].name} and {path.name}; give one of them, for example "
+                f"{folder / '*'.join(kind)}",
+            )
     return sorted(found, key=lambda path: numbers[path][1])
 
 
@@ -161,8 +169,11 @@ def check_numbers(paths: Sequence[Path]):
     numbers = [int(part[2]) for part in parts]
     for path, before, number in zip(paths[1:], numbers, numbers[1:], strict=False):
         if number <= before:
-            what = "the files are not in the order of their numbers; --any-order keeps their order"
-            raise BadFile(path, f"number {number} comes after {before}: {what}")
+            raise BadFile(
+                path,
+                f"number {number} comes after {before}: the files are not in the order of their "
+                "numbers; --any-order keeps their order",
+            )
         if number > before + 1:
             missing = f"{before + 1}" + (f" .. {number - 1}" if number > before + 2 else "")
             raise BadFile(path, f"number {missing} is missing before it; --any-order allows gaps")

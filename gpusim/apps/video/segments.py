@@ -40,9 +40,12 @@ class Shard:
             OutOfRange: If there are fewer segments than shards.
         """
         if self.count > len(segments):
-            allowed = f"up to {len(segments)} shards, one for each {len(segments[0])}"
-            found = f"{self.number}/{self.count}"
-            raise OutOfRange("--shard", found, f"{allowed}; a smaller {option} makes more")
+            raise OutOfRange(
+                "--shard",
+                f"{self.number}/{self.count}",
+                f"up to {len(segments)} shards, one for each {len(segments[0])}; a smaller {option} "
+                "makes more",
+            )
         first, end = (part * len(segments) // self.count for part in (self.number, self.number + 1))
         return segments[first:end]
 

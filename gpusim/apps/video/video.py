@@ -55,8 +55,9 @@ class Made:
     @classmethod
     def of(cls, number: int, values: Any, account: Account, exposure: Exposure) -> "Made":
         """Return the frame of an exposure."""
-        settings = exposure.exposure_time, exposure.gain
-        return cls(number, values, account, *settings, exposure.plan.name)
+        return cls(
+            number, values, account, exposure.exposure_time, exposure.gain, exposure.plan.name
+        )
 
 
 def within_period(camera: Camera, rate: Fraction) -> Camera:
@@ -154,9 +155,14 @@ def blurred_frames(
                 scene = Animation(scene, scenes.actors)
             camera = loops.camera(ramps.camera(still.camera, number / last), number)
             simulator = still if camera is still.camera else still.update(camera)
-            when: dict = {"start": number * scenes.period, "flicker": scenes.flicker}
-            when |= loops.operation(camera, number)
-            exposure = expose_motion(simulator, scene, scenes.motion, **when)
+            exposure = expose_motion(
+                simulator,
+                scene,
+                scenes.motion,
+                start=number * scenes.period,
+                flicker=scenes.flicker,
+                **loops.operation(camera, number),
+            )
             values: Any
             if output is None:
                 values = exposure.frame(seed=seed, first=number).complete()

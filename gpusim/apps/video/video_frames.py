@@ -83,8 +83,12 @@ class Film:
                 raise BadFile(path, "has no pictures; wanted a video")
             stream = container.streams.video[0]
             context = stream.codec_context
-            curve, primaries = context.color_trc, context.color_primaries
-            tags = curve, primaries, context.colorspace, context.color_range
+            tags = (
+                context.color_trc,
+                context.color_primaries,
+                context.colorspace,
+                context.color_range,
+            )
             self._format, rows = context.pix_fmt or "", context.height
             self.count = stream.frames or self._count_frames(container, stream)
         if not self.count:
@@ -94,7 +98,7 @@ class Film:
         self._last: tuple | None = None  # the number of a frame, and its scene
         self._shape = next(self.between(0, 1)).shape
 
-    def refuse(self, why: str) -> NoReturn:
+    def _refuse(self, why: str) -> NoReturn:
         """Raise BadFile."""
         raise BadFile(self.path, why)
 
@@ -119,10 +123,12 @@ class Film:
         rate = stream.average_rate or Fraction(0)
         # these times are whole milliseconds, and the last frame may have no duration
         if (duration - end) * rate > Fraction(3, 4):
-            self.refuse(f"ends at {float(end):.3f} of its {float(duration):.3f} s: it is truncated")
+            self._refuse(
+                f"ends at {float(end):.3f} of its {float(duration):.3f} s: it is truncated"
+            )
         gaps = [(later - at) * rate < GAP for at, later in pairwise(sorted(shown))]
         if sorted(shown) != shown and all(gaps[:-MOST_LATE]) and not all(gaps):
-            self.refuse("one of its last frames is missing: it is truncated")
+            self._refuse("one of its last frames is missing: it is truncated")
         return len(shown)
 
     def _read_tags(self, tags, transfer, rows):
@@ -130,11 +136,15 @@ class Film:
         curve, primaries, matrix, extent = tags
         if transfer is None and curve not in TRANSFERS:
             tag = "not tagged" if curve in UNTAGGED else f"tag {curve}"
-            what = f"its transfer function is {tag}, so the meaning of its codes is unknown"
-            self.refuse(f"{what}; give --transfer {' or '.join(sorted(set(TRANSFERS.values())))}")
+            known = " or ".join(sorted(set(TRANSFERS.values())))
+            self._refuse(
+                f"its transfer function is {tag}, so the meaning of its codes is unknown; give "
+                f"--transfer {known}"
+            )
         if primaries not in (*UNTAGGED, *PRIMARIES):
-            why = f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3"
-            self.refuse(why)
+            self._refuse(
+                f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3"
+            )
         self._transfer = TRANSFERS[curve] if transfer is None else transfer
         self._primaries = PRIMARIES.get(primaries, PRIMARIES[1])
         if self._format.startswith(("yuv", "nv", "p0")):
@@ -142,7 +152,7 @@ class Film:
                 None if matrix not in UNTAGGED else "bt709" if rows >= 576 else "bt601"
             )
             if known is None:
-                self.refuse(f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020")
+                self._refuse(f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020")
             extent = "full" if extent == FULL_RANGE or self._format.startswith("yuvj") else "tv"
             self._scale = f"in_color_matrix={known}:in_range={extent}:out_range=full"
         else:
@@ -166,7 +176,7 @@ class Film:
                     codes = self._codes(frame)
                     break
             else:
-                self.refuse(f"ends before its frame {number} of {self.count}: it is truncated")
+                self._refuse(f"ends before its frame {number} of {self.count}: it is truncated")
         scene = self._lift(codes)
         return check_size(
             scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first"
@@ -190,9 +200,15 @@ class Film:
     def _codes(self, frame):
         """Return RGB codes of a frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
         deep = max(part.bits for part in frame.format.components) > 8
-        scale, stored = f"{EXACT}:{self._scale}", "rgb48le" if deep else "rgb24"
-        given = frame.width, frame.height, frame.format, frame.time_base
-        return converter(scale, stored, *given)(frame).to_ndarray()
+        convert = converter(
+            f"{EXACT}:{self._scale}",
+            "rgb48le" if deep else "rgb24",
+            frame.width,
+            frame.height,
+            frame.format,
+            frame.time_base,
+        )
+        return convert(frame).to_ndarray()
 
     def _lift(self, codes):
         """Return the scene of RGB codes."""

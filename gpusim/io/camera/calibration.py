@@ -16,7 +16,14 @@ MODELS |= {"radial-tangential": False, "pinhole": False}
 MODELS |= {"equidistant": True, "equi": True, "fisheye": True}
 KALIBR_OTHERS = ("omni", "eucm", "ds")  # projections other than pinhole
 MATRIX = ("camera_matrix", "K", "k", "cameraMatrix", "Camera_Matrix", "mtx")
-COEFFICIENTS = "distortion_coefficients D d distCoeffs Distortion_Coefficients dist".split()
+COEFFICIENTS = (
+    "distortion_coefficients",
+    "D",
+    "d",
+    "distCoeffs",
+    "Distortion_Coefficients",
+    "dist",
+)
 SIZES = (("image_width", "image_height"), ("width", "height"))
 
 
@@ -96,8 +103,11 @@ def _select_camera(chain, camera):
     if camera is None and len(chain) == 1:
         return next(iter(chain))
     if camera is None:
-        what = f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"'
-        raise BadData(f"{what}; known: {', '.join(map(str, chain))}")
+        known = ", ".join(map(str, chain))
+        raise BadData(
+            f'has {len(chain)} cameras: wanted one of them, camera = "{next(iter(chain))}"; known: '
+            f"{known}"
+        )
     if camera not in chain:
         raise UnknownName("camera", str(camera), [str(key) for key in chain])
     return camera
@@ -107,8 +117,10 @@ def _kalibr(table):
     """Return the calibration of one Kalibr camera with intrinsics fx, fy, cx, cy."""
     model = table.get("camera_model", "pinhole")
     if model in KALIBR_OTHERS:
-        what = f"camera_model: {model}: wanted pinhole, with distortion_model radtan or equidistant"
-        raise BadData(f"{what}; calibrate again with --models pinhole-radtan or pinhole-equi")
+        raise BadData(
+            f"camera_model: {model}: wanted pinhole, with distortion_model radtan or equidistant; "
+            "calibrate again with --models pinhole-radtan or pinhole-equi"
+        )
     if model != "pinhole":
         raise BadData(f"camera_model: {format_value(model)}: wanted pinhole")
     intrinsics = _numbers(table, "intrinsics", 4)
@@ -128,15 +140,19 @@ def _matrix_file(table):
         raise BadData(why)
     sizes = next((pair for pair in SIZES if set(pair) <= table.keys()), None)
     if sizes is None:
-        what = "lacks image_width and image_height"
-        raise BadData(f"{what}, the resolution at which the camera was calibrated")
+        raise BadData(
+            "lacks image_width and image_height, the resolution at which the camera was calibrated"
+        )
     _require_whole_frame(table)
     found = next((key for key in COEFFICIENTS if key in table), None)
     model = "fisheye" if table.get("fisheye_model") else "pinhole"
     model = table.get("distortion_model") or model
-    size, intrinsics = [_number(table, key) for key in sizes], [matrix[at] for at in (0, 4, 2, 5)]
-    coefficients = [] if found is None else _numbers(table, found)
-    return _calibration_of(size, intrinsics, coefficients, model)
+    return _calibration_of(
+        [_number(table, key) for key in sizes],
+        [matrix[0], matrix[4], matrix[2], matrix[5]],
+        [] if found is None else _numbers(table, found),
+        model,
+    )
 
 
 def _require_whole_frame(table):

@@ -120,13 +120,13 @@ def _chain(name_or_path):
     yield path, table
     while base is not None:
         word, place = f"base = {format_value(base)}", base
-        if type(base) is not str:
+        if not isinstance(base, str):
             raise BadFile(files[-1], f"{word}: wanted a camera's name or file")
         if base not in camera_names():
             place = files[-1].parent / base
             if not os.path.exists(place):
-                known = f"no such camera or file; cameras are {', '.join(camera_names())}"
-                raise BadFile(files[-1], f"{word}: {known}")
+                known = ", ".join(camera_names())
+                raise BadFile(files[-1], f"{word}: no such camera or file; cameras are {known}")
         path, table = _file_table(place)
         if path.resolve() in files:
             raise BadFile(files[-1], f"{word}: the bases form a loop")
@@ -235,9 +235,13 @@ def _camera(path, table):
     if "profile" in sensor:
         _apply_profile(path, sensor, noise)
     sensor["noise"] = _noise(path, noise, sensor)
-    made = optics, Sensor(**sensor)
-    processor = _processor(path, section_fields(path, table, "processor"))
-    return Camera(name, *made, processor, _display(path, section_fields(path, table, "display")))
+    return Camera(
+        name,
+        optics,
+        Sensor(**sensor),
+        _processor(path, section_fields(path, table, "processor")),
+        _display(path, section_fields(path, table, "display")),
+    )
 
 
 def _processor(path, fields):
@@ -260,8 +264,11 @@ def _display(path, fields):
         with _name_key_in_errors(path, "[display] name"):
             return open_display(name or "srgb")
     if name in display_names():
-        what = f"[display] name = {format_value(name)} is a known display"
-        raise BadFile(path, f"{what}; leave out {', '.join(fields)}, or use another name")
+        raise BadFile(
+            path,
+            f"[display] name = {format_value(name)} is a known display; leave out "
+            f"{', '.join(fields)}, or use another name",
+        )
     return Display(name or path.stem, **fields)
 
 
@@ -302,8 +309,9 @@ def _apply_calibration(path, fields, sensor):
         raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
     if not isinstance(calibration, Calibration):
         with _name_key_in_errors(path, "[optics] calibration"):
-            file, camera = path.parent / calibration["file"], calibration.get("camera")
-            calibration = read_calibration(file, camera)
+            calibration = read_calibration(
+                path.parent / calibration["file"], calibration.get("camera")
+            )
     # fx is the image distance of the plane in focus: 1/f = 1/b + 1/g
     if "focal_length" not in fields:
         image_distance = calibration.fx * sensor["pixel_pitch"]
@@ -321,8 +329,11 @@ def _lens(path, fields):
     if not isinstance(defocus, float):
         table = _single(path, "[optics] defocus_um", defocus)
         fields["defocus"] = Spectrum(table.wavelengths, table.values / MICRO, table.name)
-    waves = fields.keys() & {"zernike", "heights", "seidel", "reference"}
-    aberrations = {key: fields.pop(key) for key in waves}
+    aberrations = {
+        key: fields.pop(key)
+        for key in ("zernike", "heights", "seidel", "reference")
+        if key in fields
+    }
     if not isinstance(fields.get("lateral_color", 0.0), float):
         fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
     if "psf" in fields:
@@ -344,8 +355,9 @@ def _efficiency(path, sensor):
     spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
     used = set("".join(sensor.get("cfa", Sensor.cfa)))
     if not used <= set(letters):
-        what = f"[sensor] qe has no curve for {', '.join(sorted(used - set(letters)))}"
-        raise BadFile(path, f"{what}; it has {', '.join(letters) or 'one without a letter'}")
+        missing = ", ".join(sorted(used - set(letters)))
+        known = ", ".join(letters) or "one without a letter"
+        raise BadFile(path, f"[sensor] qe has no curve for {missing}; it has {known}")
     channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
     rows = [letters.index(letter) for letter in channels]
     product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)
@@ -358,8 +370,11 @@ def _efficiency(path, sensor):
         nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
         product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
     elif ends is not None:
-        wanted = '"zero" (no light outside the table) or leave it out'
-        raise BadFile(path, f"[sensor] qe_ends = {format_value(ends)}: wanted {wanted}")
+        raise BadFile(
+            path,
+            f'[sensor] qe_ends = {format_value(ends)}: wanted "zero" (no light outside the table) or '
+            "leave it out",
+        )
     return product, channels
 
 
@@ -400,8 +415,11 @@ def _curves(path, label, value):
             raise BadFile(path, f"{label}: wanted lists of numbers with equal lengths") from None
         return Spectrum(wavelengths, values, label), tuple(columns)
     if type(value) is not str:
-        what = f"{label} = {format_value(value)}: wanted a curve's name"
-        raise BadFile(path, f"{what}, a .csv file or a table of wavelengths_nm and values")
+        raise BadFile(
+            path,
+            f"{label} = {format_value(value)}: wanted a curve's name, a .csv file or a table of "
+            "wavelengths_nm and values",
+        )
     with _name_key_in_errors(path, label):
         if value.endswith(".csv"):
             return _read_csv(path.parent / value)

@@ -113,7 +113,6 @@ def sensor_from_emva1288(
     _check_figures(figures)
     spectrum, efficiency = _efficiency(quantum_efficiency, wavelength, response)
     noise_squared = _dark_noise_squared(dark_noise, dark_noise_dn, gain, rounding)
-    well = full_well(saturation_capacity, prnu / 100)
     sensor = Sensor(
         pixel_pitch=pixel_pitch,
         qe=spectrum,
@@ -122,7 +121,7 @@ def sensor_from_emva1288(
         bits=bits,
         black_level=black_level,
         gain=gain,
-        full_well=well,
+        full_well=full_well(saturation_capacity, prnu / 100),
         noise=Noise(
             read=math.sqrt(noise_squared),
             dark_current=dark_current,
@@ -145,17 +144,34 @@ def sensor_from_emva1288(
             f"level of {black_level} hold {highest} DN; check bits, black_level and the unit of gain, DN/e-"
         )
     threshold = math.sqrt(noise_squared + ROUNDING / gain**2) + 0.5  # [e-]
-    root, ratio = math.sqrt(saturation_capacity), saturation_capacity / threshold
-    formula = "sqrt(saturation_capacity)"
-    _compare("snr_max_db", snr_max_db, root, rounding, formula, decibels=True)
-    formula = "saturation_capacity / (dark noise with quantisation + 0.5 e-)"
-    _compare("dynamic_range_db", dynamic_range_db, ratio, rounding, formula, decibels=True)
+    _compare(
+        "snr_max_db",
+        snr_max_db,
+        math.sqrt(saturation_capacity),
+        rounding,
+        "sqrt(saturation_capacity)",
+        decibels=True,
+    )
+    _compare(
+        "dynamic_range_db",
+        dynamic_range_db,
+        saturation_capacity / threshold,
+        rounding,
+        "saturation_capacity / (dark noise with quantisation + 0.5 e-)",
+        decibels=True,
+    )
     if sensitivity_threshold is not None and efficiency is None:
-        what = "sensitivity_threshold: wanted the wavelength at which it was measured"
-        raise BadData(f"{what}, wavelength = ... [nm]")
-    derived = threshold / efficiency if efficiency else None
-    formula = "(dark noise with quantisation + 0.5 e-) / quantum_efficiency"
-    _compare("sensitivity_threshold", sensitivity_threshold, derived, rounding, formula)
+        raise BadData(
+            "sensitivity_threshold: wanted the wavelength at which it was measured, wavelength = ... "
+            "[nm]"
+        )
+    _compare(
+        "sensitivity_threshold",
+        sensitivity_threshold,
+        threshold / efficiency if efficiency else None,
+        rounding,
+        "(dark noise with quantisation + 0.5 e-) / quantum_efficiency",
+    )
     return sensor
 
 
@@ -215,14 +231,16 @@ def _efficiency(quantum_efficiency, wavelength, response):
         raise BadData(f"response = {format_value(response)}: wanted a gpusim.Spectrum")
     if not isinstance(quantum_efficiency, Spectrum):
         if not isinstance(quantum_efficiency, Real) or isinstance(quantum_efficiency, bool):
-            what = f"quantum_efficiency = {format_value(quantum_efficiency)}"
-            raise BadData(f"{what}: wanted a number or a Spectrum")
+            number = format_value(quantum_efficiency)
+            raise BadData(f"quantum_efficiency = {number}: wanted a number or a Spectrum")
         if not 0 < quantum_efficiency <= 1:
             allowed = "0 < quantum_efficiency <= 1; write 60 % of a data sheet as 0.6"
             raise OutOfRange("quantum_efficiency", _number_text(quantum_efficiency), allowed)
         if wavelength is None:
-            what = "quantum_efficiency is one number"
-            raise BadData(f"{what}: wanted its wavelength, wavelength = ... [nm], or a curve")
+            raise BadData(
+                "quantum_efficiency is one number: wanted its wavelength, wavelength = ... [nm], or a "
+                "curve"
+            )
         if response is None:
             band = np.array([wavelength - HALF_BAND, wavelength + HALF_BAND])
             response = Spectrum(band, np.ones(2), "quantum efficiency at one wavelength")
@@ -247,13 +265,21 @@ def _dark_noise_squared(electrons, numbers, gain, rounding):
         return electrons**2
     squared = (numbers**2 - ROUNDING) / gain**2
     if squared < 0:
-        allowed = f"{math.sqrt(ROUNDING):.3f} or more, the noise of rounding"
-        remedy = "give dark noise without quantisation as dark_noise [e-]"
-        raise OutOfRange("dark_noise_dn", f"{numbers:.6g} DN", f"{allowed}; {remedy}")
+        raise OutOfRange(
+            "dark_noise_dn",
+            f"{numbers:.6g} DN",
+            f"{math.sqrt(ROUNDING):.3f} or more, the noise of rounding; "
+            "give dark noise without quantisation as dark_noise [e-]",
+        )
     if electrons is None:
         return squared
-    derived, formula = gain**2 * electrons**2 + ROUNDING, "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)"
-    _compare("dark_noise_dn", numbers, math.sqrt(derived), rounding, formula)
+    _compare(
+        "dark_noise_dn",
+        numbers,
+        math.sqrt(gain**2 * electrons**2 + ROUNDING),
+        rounding,
+        "sqrt(gain^2 dark_noise^2 + 1/12 DN^2)",
+    )
     return electrons**2
 
 

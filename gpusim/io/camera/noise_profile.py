@@ -47,9 +47,11 @@ class NoiseProfile:
 
     def __post_init__(self):
         if not 0 <= self.black_level < self.white_level <= 65535:
-            levels = f"{self.black_level:.6g}, {self.white_level:.6g}"
-            allowed = "0 <= black < white <= 65535 DN"
-            raise OutOfRange("black level, white level", levels, allowed)
+            raise OutOfRange(
+                "black level, white level",
+                f"{self.black_level:.6g}, {self.white_level:.6g}",
+                "0 <= black < white <= 65535 DN",
+            )
         if not 1e-9 <= self.scale <= 1:
             allowed = "1e-9 <= S <= 1, white at 1 .. 1e9 e-"
             raise OutOfRange("noise profile's scale S", f"{self.scale:.6g}", allowed)
@@ -74,16 +76,25 @@ class NoiseProfile:
         because a profile does not have them.
         """
         noise = replace(sensor.noise, read=self.read, reset=0.0, adc=0.0, row=0.0, column=0.0)
-        gain: dict = dict.fromkeys(("conversion_gain", "adc_range"))
-        gain |= {"analog_gain": 1.0, "analog_offset": 0.0}
-        return replace(sensor, **self.fields, **gain, noise=noise)
+        return replace(
+            sensor,
+            **self.fields,
+            conversion_gain=None,
+            adc_range=None,
+            analog_gain=1.0,
+            analog_offset=0.0,
+            noise=noise,
+        )
 
     @property
     def fields(self) -> dict:
         """Fields of `Sensor` that the profile determines."""
-        bits = max(1, math.ceil(math.log2(self.white_level + 1)))
-        levels = {"black_level": round(self.black_level), "bits": bits}
-        return {"gain": self.gain, "full_well": 1 / self.scale} | levels
+        return {
+            "gain": self.gain,
+            "full_well": 1 / self.scale,
+            "black_level": round(self.black_level),
+            "bits": max(1, math.ceil(math.log2(self.white_level + 1))),
+        }
 
 
 def read_noise_profile(path: str | PathLike) -> NoiseProfile:
@@ -103,20 +114,27 @@ def read_noise_profile(path: str | PathLike) -> NoiseProfile:
     tags = _tags(path)
     with name_in_errors(path):
         if NOISE_PROFILE not in tags:
-            what = "has no NoiseProfile (tag 51041)"
-            raise BadData(f"{what}; Android's camera and Adobe's DNG Converter write one")
+            raise BadData(
+                "has no NoiseProfile (tag 51041); Android's camera and Adobe's DNG Converter write one"
+            )
         profile = np.array(tags[NOISE_PROFILE], np.float64).ravel()
         if len(profile) < 2 or len(profile) % 2 or not np.isfinite(profile).all():
             why = f"NoiseProfile has {len(profile)} numbers: wanted 2 for each plane, or 2, finite"
             raise BadData(why)
         scale, offset = profile.reshape(-1, 2).T
         if scale.max() > SPREAD * scale.min():
-            what = f"NoiseProfile has a factor of {scale.min():.3g} .. {scale.max():.3g} by plane"
-            raise BadData(f"{what}: wanted one gain, factors within {SPREAD:g}")
+            raise BadData(
+                f"NoiseProfile has a factor of {scale.min():.3g} .. {scale.max():.3g} by plane: wanted "
+                f"one gain, factors within {SPREAD:g}"
+            )
         bits = int(np.max(tags.get(BITS, 16)))
         white = tags.get(WHITE_LEVEL, (2 ** min(bits, 16) - 1,))
-        figures = scale, offset, tags.get(BLACK_LEVEL, 0), white
-        return NoiseProfile(*(float(np.mean(figure)) for figure in figures))
+        return NoiseProfile(
+            float(scale.mean()),
+            float(offset.mean()),
+            float(np.mean(tags.get(BLACK_LEVEL, 0))),
+            float(np.mean(white)),
+        )
 
 
 def _tags(path):

@@ -66,8 +66,9 @@ def optiland_psf(
         raise BadData("optiland_psf: wanted wavelengths [nm] above 0")
     are_heights = len(heights) and np.isfinite(heights).all() and heights[0] == 0
     if not (are_heights and 0 < corner < math.inf):
-        what = "optiland_psf: wanted heights rising from 0"
-        raise BadData(f"{what}, 1 at the frame's corner, and corner > 0 [m]")
+        raise BadData(
+            "optiland_psf: wanted heights rising from 0, 1 at the frame's corner, and corner > 0 [m]"
+        )
     if reference is None:
         reference = float(wavelengths[len(wavelengths) // 2])
     if spacing is None:
@@ -86,8 +87,10 @@ def _chief(optic, field, wavelength):
     rays = optic.trace_generic(0.0, field, 0.0, 0.0, wavelength / 1e3)
     found = (float(np.squeeze(rays.x)) / 1e3, float(np.squeeze(rays.y)) / 1e3)
     if not np.isfinite(found).all():
-        ray = f"the chief ray of field {field:.4g}"
-        raise BadData(f"optiland_psf: {ray} does not reach the image at {wavelength:g} nm")
+        raise BadData(
+            f"optiland_psf: the chief ray of field {field:.4g} does not reach the image at "
+            f"{wavelength:g} nm"
+        )
     return found
 
 
@@ -116,10 +119,17 @@ def _trace_psf(optic, field, wavelength, spacing, samples, rays):
     from optiland.psf import HuygensPSF
 
     # HuygensPSF spreads n samples over n pitches, so they are n / (n - 1) pitches apart
-    grid = {"image_size": samples, "pixel_pitch": spacing * 1e3 * (samples - 1) / samples}
-    found = HuygensPSF(optic, (0, field), wavelength / 1e3, num_rays=rays, **grid)
+    found = HuygensPSF(
+        optic,
+        (0, field),
+        wavelength / 1e3,
+        num_rays=rays,
+        image_size=samples,
+        pixel_pitch=spacing * 1e3 * (samples - 1) / samples,
+    )
     x, y = (float(np.squeeze(place)) / 1e3 for place in (found.cx, found.cy))
-    centre, half = _chief(optic, field, wavelength), (samples - 1) / 2
+    centre = _chief(optic, field, wavelength)
+    half = (samples - 1) / 2
     middle = half + (centre[1] - y) / spacing, half + (centre[0] - x) / spacing
     values = np.asarray(found.psf, np.float64)
     return Traced(float(wavelength), values, spacing, middle, centre, field)

@@ -47,10 +47,14 @@ def read_psf(path: str | PathLike) -> PointSpread:
         archive.require_memory(COPIES)
         integrated = bool(archive["integrated"]) if "integrated" in archive else False
         heights = archive["heights"] if "heights" in archive else None
-        grid = tuple(archive[key] for key in axes) or None
-        wavelengths, psf = archive["wavelengths_nm"], archive["psf"]
-        spacing = float(archive["spacing_um"]) / 1e6
-        return PointSpread(wavelengths, psf, spacing, integrated, heights, grid)
+        return PointSpread(
+            archive["wavelengths_nm"],
+            archive["psf"],
+            float(archive["spacing_um"]) / 1e6,
+            integrated,
+            heights,
+            tuple(archive[key] for key in axes) or None,
+        )
 
 
 def write_psf(path: str | PathLike, spread: PointSpread) -> None:
@@ -63,8 +67,12 @@ def write_psf(path: str | PathLike, spread: PointSpread) -> None:
     Raises:
         BadFile: if the file cannot be written.
     """
-    arrays: dict = {"wavelengths_nm": spread.wavelengths, "psf": spread.values}
-    arrays |= {"spacing_um": spread.spacing * 1e6, "integrated": spread.integrated}
+    arrays: dict = {
+        "wavelengths_nm": spread.wavelengths,
+        "psf": spread.values,
+        "spacing_um": spread.spacing * 1e6,
+        "integrated": spread.integrated,
+    }
     if spread.heights is not None:
         arrays["heights"] = spread.heights
     if spread.grid is not None:

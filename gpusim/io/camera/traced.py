@@ -46,9 +46,10 @@ def spread_of(
     fields = list(dict.fromkeys(one.field for one in traced))
     table = {(one.field, one.wavelength): one for one in traced}
     if not traced or len(table) != len(traced) or len(traced) != len(wavelengths) * len(fields):
-        places = f"{len(fields)} field points and {len(wavelengths)} wavelengths"
-        wanted = "wanted each wavelength once at every field point"
-        raise BadData(f"{len(traced)} point spreads of {places}: {wanted}")
+        raise BadData(
+            f"{len(traced)} point spreads of {len(fields)} field points and {len(wavelengths)} "
+            "wavelengths: wanted each wavelength once at every field point"
+        )
     middle = wavelengths[len(wavelengths) // 2] if reference is None else reference
     if middle not in wavelengths:
         allowed = ", ".join(f"{one:g}" for one in wavelengths)
@@ -56,8 +57,10 @@ def spread_of(
     ideal = {field: table[field, middle].centre for field in fields}
     if len(fields) > 1:
         if corner is None or not 0 < corner < np.inf:
-            what = f"{len(fields)} field points: wanted corner"
-            raise BadData(f"{what}, the distance of the frame's corner from the axis [m]")
+            raise BadData(
+                f"{len(fields)} field points: wanted corner, the distance of the frame's corner from "
+                "the axis [m]"
+            )
         fields.sort(key=lambda field: np.hypot(*ideal[field]))
     turned = [
         _turn_outward(table[field, wavelength], ideal[field], corner)
@@ -88,8 +91,10 @@ def _turn_outward(traced, ideal, corner):
     if corner is None or max(abs(x), abs(y)) <= least:
         return values, traced.spacing, (row, col)
     if min(abs(x), abs(y)) > least:
-        what = f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm"
-        raise BadData(f"{what}: wanted all along x or all along y")
+        raise BadData(
+            f"a field point at x = {x * 1e3:.4g}, y = {y * 1e3:.4g} mm: wanted all along x or all "
+            "along y"
+        )
     for _ in range(0 if x > least else 1 if y > least else 2 if x < -least else 3):
         # values from below come to the right
         values, (row, col) = np.rot90(values), (values.shape[1] - 1 - col, row)

@@ -93,9 +93,10 @@ def _read_listing(path) -> Traced:
         x, y = (
             _parse_length("Center coordinates", item, length or "mm", PLACES) for item in (x, y)
         )
-        nm, place = round(wavelength * 1e9, 6), (rows - 1 - row, col)
+        nanometres = round(wavelength * 1e9, 6)
         # the first line is the top one
-        return Traced(nm, values[::-1], spacing, place, (x, y), field.strip())
+        place = (rows - 1 - row, col)
+        return Traced(nanometres, values[::-1], spacing, place, (x, y), field.strip())
 
 
 def _match(pattern, head, what):
@@ -128,6 +129,8 @@ def _parse_values(path, text, rows, cols):
     with reading(path, f"{WHAT} in numbers"):
         values = np.array(words, np.float64).reshape(rows, cols)
     if not ((values >= 0) & (values < np.inf)).all():
-        what = "has values that are negative or not finite"
-        raise BadData(f"{what}: wanted a linear listing, not a logarithmic one")
+        raise BadData(
+            "has values that are negative or not finite: wanted a linear listing, not a logarithmic "
+            "one"
+        )
     return values

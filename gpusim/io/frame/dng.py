@@ -65,8 +65,10 @@ def write_dng(
     raw = np.asarray(raw)
     is_shaped = raw.ndim in ((2,) if cfa else (2, 3)) and raw.size > 0
     if not (is_shaped and raw.dtype in (np.uint16, np.float32)):
-        what = f"{path}: a DNG needs uint16 or float32 of shape (rows"
-        raise BadData(f"{what}, cols), got {raw.dtype} {raw.shape}")
+        raise BadData(
+            f"{path}: a DNG needs uint16 or float32 of shape (rows, cols), got {raw.dtype} "
+            f"{raw.shape}"
+        )
     planes = len(channels) if cfa or raw.ndim == 3 else 1
     check_dng(cfa, channels if planes > 1 else "Y")
     if raw.ndim == 3:
@@ -92,9 +94,16 @@ def write_dng(
         # NoiseProfile, one for all planes
         tags.append((51041, "d", 2, tuple(map(float, noise)), False))
     with atomic_path(path) as temporary:
-        layout = {"photometric": "cfa" if cfa else "minisblack", "rowsperstrip": len(raw)}
-        layout |= {"planarconfig": "contig" if samples > 1 else None, "metadata": None}
-        tifffile.imwrite(temporary, raw, **layout, software="gpusim", extratags=tags)
+        tifffile.imwrite(
+            temporary,
+            raw,
+            photometric="cfa" if cfa else "minisblack",
+            rowsperstrip=len(raw),
+            metadata=None,
+            software="gpusim",
+            planarconfig="contig" if samples > 1 else None,
+            extratags=tags,
+        )
         if not cfa:
             # tifffile writes it for three samples only
             with tifffile.TiffFile(temporary, mode="r+b") as file:
@@ -106,8 +115,10 @@ def _levels(cfa, samples, black_level, white_level):
     black = np.asarray(black_level, np.float64)
     period = (len(cfa), len(cfa[0])) if cfa else (1, 1)
     if black.shape not in ((), period):
-        what = f"black_level of a DNG: shape {black.shape}"
-        raise BadData(f"{what}, wanted one number or {period}, the mosaic's period")
+        raise BadData(
+            f"black_level of a DNG: shape {black.shape}, wanted one number or {period}, the mosaic's "
+            "period"
+        )
     if not (0 <= black.min() and black.max() < white_level <= 2**32 - 1):
         levels = f"{black.min():g} .. {black.max():g}, {white_level}"
         allowed = "0 <= black < white <= 4294967295 DN"
@@ -127,8 +138,8 @@ def _levels(cfa, samples, black_level, white_level):
 def _mosaic(path, cfa, channels):
     """Return tags of the colour filter array."""
     if len({len(row) for row in cfa}) != 1 or set("".join(cfa)) != set(channels):
-        what = f"{path}: cfa {cfa}"
-        raise BadData(f"{what}: wanted rows of equal length with the letters {', '.join(channels)}")
+        letters = ", ".join(channels)
+        raise BadData(f"{path}: cfa {cfa}: wanted rows of equal length with the letters {letters}")
     pattern, planes = (bytes(map(FILTERS.index, letters)) for letters in ("".join(cfa), channels))
     return [
         (33421, "H", 2, (len(cfa), len(cfa[0])), False),  # CFARepeatPatternDim

@@ -70,10 +70,17 @@ def write_frame(path, frame, bits=None):
     elif suffix == ".dng":
         _write_raw(path, frame)
     else:
-        arrays = {"electrons": frame.mean, "dn": frame.raw, "cfa": np.array(sensor.cfa)}
-        arrays |= {"channels": np.array(sensor.channels), "exposure_time_s": frame.exposure_time}
-        arrays |= {"black_level": sensor.dark_level, "white_level": sensor.white_level}
-        write_archive(path, arrays | {"gain_dn_per_e": sensor.gain_dn_per_electron})
+        arrays = {
+            "electrons": frame.mean,
+            "dn": frame.raw,
+            "cfa": np.array(sensor.cfa),
+            "channels": np.array(sensor.channels),
+            "exposure_time_s": frame.exposure_time,
+            "black_level": sensor.dark_level,
+            "white_level": sensor.white_level,
+            "gain_dn_per_e": sensor.gain_dn_per_electron,
+        }
+        write_archive(path, arrays)
 
 
 def _write_raw(path, frame):
@@ -93,8 +100,18 @@ def _write_raw(path, frame):
     if frame.averaged is not None and sensor.noise.photon != "none":
         noise = RawNoise.of(sensor, frame.averaged).profile((white - black) / gain)
     cfa = () if sensor.stacked or sensor.is_monochrome else sensor.cfa
-    colors = {"channels": sensor.channels}
+    matrices, neutral = None, None
     if not sensor.is_monochrome:
-        colors |= {"matrices": frame.color_profile, "as_shot_neutral": frame.rendering.neutral}
-    name = f"gpusim {frame.camera.name}"
-    write_dng(path, frame.raw, cfa, black, white, noise=noise, camera_name=name, **colors)
+        matrices, neutral = frame.color_profile, frame.rendering.neutral
+    write_dng(
+        path,
+        frame.raw,
+        cfa,
+        black,
+        white,
+        matrices,
+        neutral,
+        channels=sensor.channels,
+        noise=noise,
+        camera_name=f"gpusim {frame.camera.name}",
+    )

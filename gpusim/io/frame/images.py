@@ -30,8 +30,10 @@ def png_bytes(image, display=DISPLAYS["srgb"], name="picture") -> bytes:
     image = np.ascontiguousarray(image)
     is_shaped = image.ndim > 1 and image.shape[2:] in ((), (3,)) and image.size > 0
     if not (is_shaped and image.dtype in (np.uint8, np.uint16)):
-        what = f"{name}: a PNG needs uint8 or uint16 of shape (rows"
-        raise BadData(f"{what}, cols, 3) or (rows, cols), got {image.dtype} {image.shape}")
+        raise BadData(
+            f"{name}: a PNG needs uint8 or uint16 of shape (rows, cols, 3) or (rows, cols), "
+            f"got {image.dtype} {image.shape}"
+        )
     return (_png8 if image.dtype == np.uint8 else _png16)(image, _chunks(display, image.ndim == 3))
 
 
@@ -96,11 +98,18 @@ def write_tiff(path, image, display=DISPLAYS["srgb"]):
 
     image = np.asarray(image)
     if image.dtype not in TIFF_KINDS or image.ndim != 3 or image.shape[2] != 3 or image.size == 0:
-        what = f"{path}: a TIFF needs uint8, uint16 or float32 of shape (rows"
-        raise BadData(f"{what}, cols, 3), got {image.dtype} {image.shape}")
+        raise BadData(
+            f"{path}: a TIFF needs uint8, uint16 or float32 of shape (rows, cols, 3), got "
+            f"{image.dtype} {image.shape}"
+        )
     if not np.isfinite(image).all():
         raise BadData(f"{path}: NaN or infinite values")
     with atomic_path(path) as temporary:
-        made = {"photometric": "rgb", "metadata": None, "software": "gpusim"}
-        profile = icc_profile(display, linear=image.dtype == np.float32)
-        tifffile.imwrite(temporary, image, **made, iccprofile=profile)
+        tifffile.imwrite(
+            temporary,
+            image,
+            photometric="rgb",
+            metadata=None,
+            software="gpusim",
+            iccprofile=icc_profile(display, linear=image.dtype == np.float32),
+        )

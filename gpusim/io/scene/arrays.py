@@ -82,16 +82,22 @@ def _by_bands(array, wavelengths, axis, name):
     """Return the array as (L, rows, cols), as float32 if it was float64 or turned."""
     shape, count = tuple(array.shape), wavelengths.size
     if len(shape) != 3 or count not in (shape[0], shape[-1]):
-        what = f"{name}: array of shape {shape} for {count} wavelengths"
-        raise BadData(f"{what}, wanted ({count}, rows, cols) or (rows, cols, {count})")
+        raise BadData(
+            f"{name}: array of shape {shape} for {count} wavelengths, wanted ({count}, rows, cols) or "
+            f"(rows, cols, {count})"
+        )
     if axis is None:
         if shape[0] == shape[-1]:
-            what = f"{name}: array of shape {shape}: both ends have {count} samples"
-            raise BadData(f"{what}; give axis = 0 or axis = -1")
+            raise BadData(
+                f"{name}: array of shape {shape}: both ends have {count} samples; give axis = 0 or "
+                "axis = -1"
+            )
         axis = 0 if shape[0] == count else -1
     if axis not in (0, -1, 2) or shape[axis] != count:
-        what = f"{name}: axis = {axis!r} of shape {shape}"
-        raise BadData(f"{what}, wanted 0 or -1, the axis of {count} wavelengths")
+        raise BadData(
+            f"{name}: axis = {axis!r} of shape {shape}, wanted 0 or -1, the axis of {count} "
+            "wavelengths"
+        )
     if axis == 0:
         is_double = isinstance(array, np.ndarray) and array.dtype == np.float64
         return array.astype(np.float32) if is_double else array
@@ -104,17 +110,23 @@ def _picture(array, kind, light, luminance, linear, name, options):
         curve = np.linspace(0, 1, 256**kind.itemsize, dtype=np.float32) if linear else None
         return picture(array, light=light, luminance=luminance, curve=curve, name=name, **options)
     if kind.kind != "f":
-        what = f"{name}: a picture of {kind}, wanted uint8, uint16 or floats with white 1"
-        raise BadData(f"{what}; or give the wavelengths of a cube")
+        raise BadData(
+            f"{name}: a picture of {kind}, wanted uint8, uint16 or floats with white 1; or give the "
+            "wavelengths of a cube"
+        )
     values = to_host(array, name)
     if values.ndim == 2:
         values = np.repeat(values[..., None], 3, axis=-1)
     if values.ndim != 3 or values.shape[-1] != 3:
-        what = f"{name}: array of shape {tuple(array.shape)}, wanted (rows, cols"
-        raise BadData(f"{what}, 3) or (rows, cols) of a picture; or give the wavelengths of a cube")
+        raise BadData(
+            f"{name}: array of shape {tuple(array.shape)}, wanted (rows, cols, 3) or (rows, cols) of a "
+            "picture; or give the wavelengths of a cube"
+        )
     if not (np.isfinite(values).all() and values.min(initial=0) >= 0):
-        what = f"{name}: picture from {values.min():.3g} to {values.max():.3g}"
-        raise BadData(f"{what}, wanted finite numbers, not negative")
+        raise BadData(
+            f"{name}: picture from {values.min():.3g} to {values.max():.3g}, wanted finite numbers, "
+            "not negative"
+        )
     if not linear and values.max(initial=0) > 1:
         why = f"{name}: encoded picture up to {values.max():.3g}, wanted 0 .. 1; or linear = True"
         raise BadData(why)

@@ -27,8 +27,11 @@ def axial_depth(
     [rad], for rays: square pixels, the axis in the middle. Raises BadFile.
     """
     if not distances.min() >= 0:  # also true for NaN
-        what = f"depth that is negative or NaN (lowest {distances.min():.3g}); wanted metres"
-        raise BadFile(path, f'channel {channel!r}: {what}; or ignore it with depth = "none"')
+        raise BadFile(
+            path,
+            f"channel {channel!r}: depth that is negative or NaN (lowest {distances.min():.3g}); "
+            'wanted metres; or ignore it with depth = "none"',
+        )
     depth = distances.astype(np.float32)
     if along == "ray":
         assert fov is not None  # checked before the file was read

@@ -94,17 +94,22 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
             need = f"{path.name} needs {wanted} bytes from byte {start} on ({size})"
             raise BadFile(data, f"truncated: {need}, {max(there, 0)} are there")
         if there > wanted:
-            more = f"{there - wanted} bytes more than its header declares"
-            notes.append(f"{data.name} has {more}; check both")
+            notes.append(
+                f"{data.name} has {there - wanted} bytes more than its header declares; check both"
+            )
         with reading(data, "a file that can be mapped"):
             view = np.memmap(file, dtype, "r", start, tuple(shape)).transpose(axes)
         if library:
             view = view[0].T[:, :, None]
         order = np.flatnonzero(good)[np.argsort(wavelengths[good], kind="stable")]
-        gains, offsets = (None if one is None else one[order] for one in (gains, offsets))
-        light: dict = {"scale": factor, "gains": gains, "offsets": offsets}
-        light["ignored"] = header.ignored_value(dtype)
-        values, changes = read_planes(data, _SelectedPlanes(view, order), **light)
+        values, changes = read_planes(
+            data,
+            _SelectedPlanes(view, order),
+            scale=factor,
+            ignored=header.ignored_value(dtype),
+            gains=None if gains is None else gains[order],
+            offsets=None if offsets is None else offsets[order],
+        )
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
     return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *changes))
@@ -144,8 +149,10 @@ class _Header:
                 while "}" not in parts[-1]:
                     line_after = next(lines, None)
                     if line_after is None:
-                        what = f"{format_value(key)} has no end: a brace is not closed"
-                        raise BadFile(path, f"{what}; is it truncated?")
+                        raise BadFile(
+                            path,
+                            f"{format_value(key)} has no end: a brace is not closed; is it truncated?",
+                        )
                     if not line_after.startswith(";"):
                         parts.append(line_after)
                 value = " ".join(parts)
@@ -224,8 +231,8 @@ class _Header:
 
     def gains(self, kind, count):
         """Return gains and offsets of each band, or None."""
-        of = "data" if kind == "radiance" else "data reflectance"
-        keys = [f"{of} {what} values" for what in ("gain", "offset")]
+        quantity = "data" if kind == "radiance" else "data reflectance"
+        keys = [f"{quantity} gain values", f"{quantity} offset values"]
         return [self.numbers(key, count) if key in self.fields else None for key in keys]
 
     def scale(self, kind, dtype, has_gains) -> float:
@@ -272,8 +279,11 @@ def _wavelengths(header, own, count):
         if unit in NANOMETRES:
             nm = np.round(nm * NANOMETRES[unit], 6)  # 0.57 um is not exact in binary
         elif unit not in UNSAID:
-            what = f"wavelength units = {format_value(unit)}: wanted Nanometers or Micrometers"
-            raise BadFile(path, f"{what}; or {SAY_WAVELENGTHS}")
+            raise BadFile(
+                path,
+                f"wavelength units = {format_value(unit)}: wanted Nanometers or Micrometers; or "
+                f"{SAY_WAVELENGTHS}",
+            )
         elif nm.max() < LONGEST_UM:
             nm, notes = np.round(nm * 1e3, 6), ["wavelength units are missing: taken as um"]
         else:
@@ -287,8 +297,11 @@ def _wavelengths(header, own, count):
             notes.append(f"bands marked bad by bbl are left out: {count - good.sum()} of {count}")
     used = np.sort(nm[good])
     if not len(used) or not (np.diff(used) > 0).all():
-        what = f"wavelengths of {len(used)} bands, only {len(np.unique(used))} different"
-        raise BadFile(path, f"{what}; wanted 1 or more, all different")
+        raise BadFile(
+            path,
+            f"wavelengths of {len(used)} bands, only {len(np.unique(used))} different; wanted 1 or "
+            "more, all different",
+        )
     if not SHORTEST <= used[0] <= used[-1] <= LONGEST:
         why = f"wavelengths {used[0]:.6g} .. {used[-1]:.6g} nm are not plausible; {SAY_WAVELENGTHS}"
         raise BadFile(path, why)
@@ -309,9 +322,16 @@ def _data_file(path, wanted):
     fitting = [file for file, size in found.values() if size == wanted]
     fitting = fitting or [file for file, _ in found.values()]
     if not fitting:
-        known = f"{base.name}, or this name with one of {', '.join(DATA[1:])}"
-        raise BadFile(path, f"no data file next to it: wanted {known}")
+        others = ", ".join(DATA[1:])
+        raise BadFile(
+            path,
+            f"no data file next to it: wanted {base.name}, or this name with one of {others}",
+        )
     if len(fitting) > 1:
-        what = f"several data files next to it: {', '.join(file.name for file in fitting)}"
-        raise BadFile(path, f"{what}; keep one, or name the header {fitting[0].name}.hdr")
+        names = ", ".join(file.name for file in fitting)
+        raise BadFile(
+            path,
+            f"several data files next to it: {names}; keep one, or name the header "
+            f"{fitting[0].name}.hdr",
+        )
     return fitting[0]

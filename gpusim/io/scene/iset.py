@@ -114,24 +114,25 @@ class _File:
         content = self.cube(data, "photons", self.waves(value.get("spectrum") or value))
         distances = None
         if kind == OPTICAL_IMAGE:
-            light = unit_light(content.wavelengths)
             content = content.scale(self.per_irradiance(value))
+            light = unit_light(content.wavelengths)
         else:
             content, light = self.split_light(content, value.get("illuminant"))
             distances = value.get("depthMap") if not no_depth else None
         if distances is not None:
-            along, numbers = "ray" if ray else "axis", distances.numbers()
-            distances = axial_depth(self.path, "depthMap", numbers, along, ray)
+            distances = axial_depth(
+                self.path, "depthMap", distances.numbers(), "ray" if ray else "axis", ray
+            )
         return self.make_scene(content, light, value, value.get("wAngular"), distances)
 
     def per_irradiance(self, value):
         """Return radiance over irradiance of an optical image's lens at infinity focus [sr-1]."""
         number = value.get("optics", "fNumber") or value.get("optics", "rayTrace", "fNumber")
         if number is None:
-            what = (
-                "an optical image without optics.fNumber, which converts its irradiance to radiance"
+            self.refuse(
+                f"{value.label}: an optical image without optics.fNumber, which converts its "
+                "irradiance to radiance; set it, or save the scene"
             )
-            self.refuse(f"{value.label}: {what}; set it, or save the scene")
         number = self.single(number)
         if not 0 < number < 1e6:
             self.refuse(f"{value.label}: optics.fNumber = {number:.4g}, wanted a positive number")
@@ -173,8 +174,14 @@ class _File:
 
     def make_scene(self, content, light, owner, degrees, depth=None):
         fov = None if degrees is None else math.radians(self.single(degrees))
-        name, notes = self.text(owner, "name", self.path.stem), tuple(self.notes)
-        return Scene(content, light, fov=fov, depth=depth, name=name, notes=notes)
+        return Scene(
+            content,
+            light,
+            fov=fov,
+            depth=depth,
+            name=self.text(owner, "name", self.path.stem),
+            notes=tuple(self.notes),
+        )
 
     def cube(self, owner, key, wavelengths):
         return Cube(wavelengths, self.planes(owner, key, len(wavelengths)))
@@ -186,8 +193,10 @@ class _File:
             self.refuse(f"{owner.label}: no {key}")
         shape = (*value.shape, 1)[:3] if len(value.shape) == 2 else value.shape
         if len(shape) != 3 or shape[2] != count:
-            what = f"{value.label}: shape {value.shape}, wanted (rows"
-            self.refuse(f"{what}, cols, {count}), one plane per wavelength or basis function")
+            self.refuse(
+                f"{value.label}: shape {value.shape}, wanted (rows, cols, {count}), one plane per "
+                "wavelength or basis function"
+            )
         array = value.numbers().reshape(shape)
         require_memory(f"{self.path}: {value.label}", 4 * array.size)
         low, step = 0.0, 1.0
@@ -220,8 +229,10 @@ class _File:
         table = basis.get("basis") if basis.kind == "struct" else basis
         spectra = np.zeros((0, 0)) if table is None else table.numbers().astype(np.float64)
         if spectra.ndim != 2 or len(spectra) != len(wavelengths):
-            what = f"basis: shape {spectra.shape}, wanted ({len(wavelengths)}"
-            self.refuse(f"{what}, functions), one row for each wavelength")
+            self.refuse(
+                f"basis: shape {spectra.shape}, wanted ({len(wavelengths)}, functions), one row for "
+                "each wavelength"
+            )
         planes, mean = self.planes(self.root, "mcCOEF", spectra.shape[1]), self.root.get("imgMean")
         if mean is not None:
             mean = self.vector(mean)
@@ -279,8 +290,9 @@ class _File:
         """Return surfaces in light that varies over the scene; None if a few lights do not fit."""
         is_cube = isinstance(content, Cube) and np.array_equal(own, content.wavelengths)
         if not is_cube or data.kind != "struct":
-            what = "an illuminant that varies over the scene"
-            self.refuse(f"{what}: wanted photons at the scene's wavelengths")
+            self.refuse(
+                "an illuminant that varies over the scene: wanted photons at the scene's wavelengths"
+            )
         light = self.planes(data, "photons", len(own))
         if light.shape != content.values.shape:
             self.refuse(

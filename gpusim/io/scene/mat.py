@@ -59,8 +59,11 @@ class _Root(Value):
     def __init__(self, path, file, head):
         self.order = {b"IM": "<", b"MI": ">"}.get(head[HEADER - 2 : HEADER])
         if self.order is None or 0 in head[:4]:
-            what = "not a MATLAB file of version 5 .. 7.3, which can hold structs"
-            raise BadFile(path, f"{what}; write it with save('scene.mat', 'scene', '-v7')")
+            raise BadFile(
+                path,
+                "not a MATLAB file of version 5 .. 7.3, which can hold structs; write it with "
+                "save('scene.mat', 'scene', '-v7')",
+            )
         self.file, self.size, self.places, start = file, file_size(file), {}, HEADER
         while start + 8 <= self.size:
             kind, length = struct.unpack(f"{self.order}II", self._read_stored(start, 8))
@@ -73,8 +76,10 @@ class _Root(Value):
                 raise BadFile(path, f"more than {MOST_NAMES} variables")
             start += 8 + length
         if start != self.size:
-            what = f"truncated or damaged at byte {start}"
-            raise BadFile(path, f"{what}: {self.size - start} bytes left, no variable")
+            left = self.size - start
+            raise BadFile(
+                path, f"truncated or damaged at byte {start}: {left} bytes left, no variable"
+            )
         super().__init__(path, "the file", "struct", (1, 1), tuple(self.places))
 
     def _field(self, name):
@@ -89,8 +94,11 @@ class _Root(Value):
         if packed:
             kind, unpacked = struct.unpack(f"{self.order}II", self._inflate(start, length, 8))
             if kind != MATRIX or unpacked > LARGEST_RATIO * length:
-                what = f"{unpacked} bytes of type {kind} cannot be packed in {length}"
-                raise BadFile(path, f"truncated or damaged at byte {start}: {what}")
+                raise BadFile(
+                    path,
+                    f"truncated or damaged at byte {start}: {unpacked} bytes of type {kind} cannot be "
+                    f"packed in {length}",
+                )
         wanted = min(unpacked if packed else length, most)
         require_memory(f"{path}: a variable", wanted)
         if not packed:

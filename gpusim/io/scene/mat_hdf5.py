@@ -29,10 +29,11 @@ def open_hdf5(path) -> Iterator[Value]:
     try:
         import h5py
     except ImportError:
-        wanted = (
-            "pip install 'gpusim[isetcam]', or a file written by save('scene.mat', 'scene', '-v7')"
-        )
-        raise BadFile(path, f"a MATLAB file of version 7.3 (HDF5): wanted {wanted}") from None
+        raise BadFile(
+            path,
+            "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or a file "
+            "written by save('scene.mat', 'scene', '-v7')",
+        ) from None
     with (
         open_file(path) as whole,
         reading(path, WHAT),
@@ -173,8 +174,11 @@ def _check(path, label, item, size):
     if layout == h5py.h5d.CHUNKED:
         largest = max(nbytes, math.prod(plist.get_chunk()) * item.dtype.itemsize)
     if stored > size or largest > stored * (LARGEST_RATIO if filters else 1):
-        what = f"{label}, truncated or damaged: {largest} bytes cannot come from {stored}"
-        raise BadFile(path, f"{what} in a file of {size}")
+        raise BadFile(
+            path,
+            f"{label}, truncated or damaged: {largest} bytes cannot come from {stored} in a file of "
+            f"{size}",
+        )
 
 
 def _class(item) -> str:

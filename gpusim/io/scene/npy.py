@@ -27,18 +27,23 @@ def read_npy(path, count: int, scale: float | None = None) -> tuple[np.ndarray, 
         if dtype.kind not in NUMBERS or dtype.subdtype or dtype.itemsize > 8:
             raise BadFile(path, f"{dtype}: wanted real numbers of up to 64 bits")
         if len(shape) != 3 or min(shape) < 1 or count not in (shape[0], shape[-1]):
-            what = f"shape {shape} for {count} wavelengths"
-            raise BadFile(path, f"{what}; wanted ({count}, rows, cols) or (rows, cols, {count})")
-        if shape[0] == shape[-1]:
-            what = (
-                f"shape {shape} for {count} wavelengths: (bands, rows, cols) or (rows, cols, bands)"
+            raise BadFile(
+                path,
+                f"shape {shape} for {count} wavelengths; wanted ({count}, rows, cols) or (rows, cols, "
+                f"{count})",
             )
-            remedy = "Use gpusim.scene_from(array, axis=...), or an .npz, whose key determines it"
-            raise BadFile(path, f"{what}? {remedy}")
+        if shape[0] == shape[-1]:
+            raise BadFile(
+                path,
+                f"shape {shape} for {count} wavelengths: (bands, rows, cols) or (rows, cols, bands)? "
+                "Use gpusim.scene_from(array, axis=...), or an .npz, whose key determines it",
+            )
         wanted = shape[0] * shape[1] * shape[2] * dtype.itemsize
         if size - start != wanted:
-            what = f"truncated or damaged: {wanted} bytes of numbers expected"
-            raise BadFile(path, f"{what}, {size - start} present")
+            raise BadFile(
+                path,
+                f"truncated or damaged: {wanted} bytes of numbers expected, {size - start} present",
+            )
         if scale is None:
             scale = _scale(path, dtype)
         with reading(path, "a file that can be mapped"):

@@ -45,10 +45,14 @@ def write_npz(path, scene: Scene):
         "cube" if name == "values" else name: getattr(content, name)
         for name in (*content.samples, *content.shared)
     }
-    light = scene.illuminant
-    arrays |= {"illuminant_wavelengths_nm": light.wavelengths, "illuminant": light.values}
-    for name in ("border", "margin", "name", "samples_per_pixel"):
-        arrays[name] = getattr(scene, name)
+    arrays |= {
+        "illuminant_wavelengths_nm": scene.illuminant.wavelengths,
+        "illuminant": scene.illuminant.values,
+        "border": scene.border,
+        "margin": scene.margin,
+        "name": scene.name,
+        "samples_per_pixel": scene.samples_per_pixel,
+    }
     if scene.fov is not None:
         arrays["fov_rad"] = scene.fov
     if scene.depth is not None:
@@ -124,8 +128,9 @@ class _Archive:
         if len(forms) != 1:
             why = f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}"
             self.refuse(why)
-        known = [key for key in ("wavelengths_nm", "wave") if key in self.stored]
-        key = known[0] if known else "wavelengths_nm"
+        key = "wavelengths_nm"
+        if key not in self.stored and "wave" in self.stored:
+            key = "wave"
         wavelengths = self.array(key, None).astype(np.float64)
         if not len(wavelengths) or not (np.diff(wavelengths) > 0).all():
             self.refuse(f"{key}: needs wavelengths that increase strictly")
@@ -133,9 +138,16 @@ class _Archive:
         content, illuminant = self.split_light(content, white)
         depth = self.planes("depth_m", None, None) if "depth_m" in self.stored else None
         fov = self.single("fov_rad", 0.0) or np.deg2rad(self.single("fov_deg", 0.0)) or None
-        defaults = {"border": "edge", "margin": 0, "name": self.path.stem, "samples_per_pixel": 1.0}
-        fields = {key: self.single(key, default) for key, default in defaults.items()}
-        return Scene(content, illuminant, fov=fov, depth=depth, **fields)
+        return Scene(
+            content,
+            illuminant,
+            border=self.single("border", "edge"),
+            margin=self.single("margin", 0),
+            fov=fov,
+            depth=depth,
+            name=self.single("name", self.path.stem),
+            samples_per_pixel=self.single("samples_per_pixel", 1.0),
+        )
 
     def content(self, form, wavelengths):
         """Return the pixels, still in the unit of the file."""

@@ -41,7 +41,8 @@ def read_photo(path) -> Basis | Materials:
         if linear.shape[-1] == 1:
             shading = linear[..., 0].astype(np.float32)
             wavelengths = srgb_primaries().wavelengths
-            ids, neutral = np.zeros(shading.shape, np.uint8), np.ones((1, len(wavelengths)))
+            ids = np.zeros(shading.shape, np.uint8)
+            neutral = np.ones((1, len(wavelengths)))
             return Materials(wavelengths, ids, shading, neutral)
         return lift(np.moveaxis(linear, -1, 0))
 
@@ -125,8 +126,11 @@ def read_samples(path) -> np.ndarray:
             raise BadFile(path, f"too large: {error}") from error
         cols, rows = image.size
         if image.format == "JPEG" and cols * rows > PIXELS_PER_BYTE * len(data):
-            what = f"a JPEG of {cols} x {rows} pixels needs more than {len(data)} bytes"
-            raise BadFile(path, f"truncated or damaged: {what}")
+            raise BadFile(
+                path,
+                f"truncated or damaged: a JPEG of {cols} x {rows} pixels needs more than {len(data)} "
+                "bytes",
+            )
         require_memory(f"{path}: picture of {cols} x {rows} pixels", BYTES_PER_PIXEL * cols * rows)
         samples = _decode(path, data, image)
     return samples if samples.ndim == 3 else samples[..., None]

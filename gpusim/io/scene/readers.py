@@ -100,6 +100,10 @@ def _npz(path, white, no_depth=False):
     return dataclasses.replace(scene, depth=None) if no_depth else scene
 
 
+def _iset(path, white, **options):
+    return read_iset(path, **options)
+
+
 def _photo(path, white):
     content = read_photo(path)
     with name_in_errors(path):
@@ -112,8 +116,8 @@ def _tiff(path, white, wavelengths=None, kind=None, scale=None):
         values = read_stack(path, len(wavelengths), checked_scale(scale))
         return scene_of_planes(path, white, wavelengths, values, checked_kind(kind))
     if kind is not None or scale is not None:
-        given = ("scale", scale) if kind is None else ("kind", kind)
-        raise OutOfRange(*given, "with wavelengths only")
+        name, value = ("scale", scale) if kind is None else ("kind", kind)
+        raise OutOfRange(name, value, "with wavelengths only")
     return _photo(path, white)
 
 
@@ -203,7 +207,7 @@ PLANES = ("wavelengths", "kind", "scale")
 READERS = {
     ".exr": Reader(_exr, ("bands", "ray", "no_depth")),
     ".npz": Reader(_npz, ("no_depth",)),
-    ".mat": Reader(lambda path, _, **options: read_iset(path, **options), ("ray", "no_depth")),
+    ".mat": Reader(_iset, ("ray", "no_depth")),
     **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)),
     **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
     ".hdr": Reader(_envi, (*PLANES, "size")),

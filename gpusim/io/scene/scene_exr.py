@@ -30,8 +30,11 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
     check_whole(path, scene)
     content, reflectance = scene.content.on_host(), scene.light_is_known and not radiance
     if reflectance and isinstance(content, Illuminated):
-        what = f"the light of {scene.name} varies over the scene, which reflectances cannot express"
-        raise BadFile(path, f"{what}: use radiance=True, or an .npz")
+        raise BadFile(
+            path,
+            f"the light of {scene.name} varies over the scene, which reflectances cannot express: use "
+            "radiance=True, or an .npz",
+        )
     nodes = scene.wavelengths
     light = np.ones(len(nodes)) if reflectance else scene.illuminant.at(nodes)
     values = np.empty((len(light), *content.shape), np.float32)
@@ -42,12 +45,21 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
         values[:, rows] = np.maximum(content.bands_at(rows) * light[:, None, None], 0)
     parts = {key: getattr(scene, key) for key in PARTS if getattr(scene, key) is not None}
     if reflectance:
-        own = scene.illuminant
-        nodes, shown = own.wavelengths.tolist(), own.values.tolist()
-        parts["illuminant"] = {"name": own.name, "wavelengths_nm": nodes, "values": shown}
+        parts["illuminant"] = {
+            "name": scene.illuminant.name,
+            "wavelengths_nm": scene.illuminant.wavelengths.tolist(),
+            "values": scene.illuminant.values.tolist(),
+        }
     depth = {} if scene.depth is None else {DEPTH: np.asarray(scene.depth)}
-    form: dict = {"reflectance": reflectance, "half": half, ATTRIBUTE: json.dumps(parts)}
-    write_spectral_exr(path, scene.wavelengths, values, more=depth, **form)
+    write_spectral_exr(
+        path,
+        scene.wavelengths,
+        values,
+        reflectance=reflectance,
+        half=half,
+        more=depth,
+        **{ATTRIBUTE: json.dumps(parts)},
+    )
 
 
 def scene_parts(path) -> dict:
@@ -67,7 +79,7 @@ def scene_parts(path) -> dict:
         parts = {key: kind(stored[key]) for key, kind in PARTS.items() if key in stored}
         if "illuminant" in stored:
             light = stored["illuminant"]
-            nodes = np.asarray(light["wavelengths_nm"], np.float64)
-            shown = np.asarray(light["values"], np.float64)
-            parts["illuminant"] = Spectrum(nodes, shown, str(light["name"]))
+            wavelengths = np.asarray(light["wavelengths_nm"], np.float64)
+            power = np.asarray(light["values"], np.float64)
+            parts["illuminant"] = Spectrum(wavelengths, power, str(light["name"]))
         return parts

@@ -88,20 +88,31 @@ def open_scene(
         DoesNotFit: if the scene does not fit into memory.
     """
     if not isinstance(name_or_path, str | os.PathLike):
-        what = f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file"
-        raise BadData(f"{what}; use gpusim.scene_from for an array")
+        raise BadData(
+            f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; use "
+            "gpusim.scene_from for an array"
+        )
     path = Path(name_or_path)
     check_depth(depth, fov)
-    given: dict = {"size": size, "bands": bands or None, "wavelengths": wavelengths, "kind": kind}
-    given |= {"scale": scale, "ray": fov if depth == "ray" else None}
-    given["no_depth"] = depth == "none" or None
+    given = {
+        "size": size,
+        "bands": bands or None,
+        "wavelengths": wavelengths,
+        "kind": kind,
+        "scale": scale,
+        "ray": fov if depth == "ray" else None,
+        "no_depth": depth == "none" or None,
+    }
     given = {name: value for name, value in given.items() if value is not None}
     level = LUMINANCE if luminance is None else luminance
     if str(name_or_path) in CHARTS:
-        finer = 1.0 if samples_per_pixel is None else samples_per_pixel
-        lit: dict = {"light": light or LIGHT, "luminance": level, "samples_per_pixel": finer}
-        options = select_options(name_or_path, CHARTS_TAKE, given)
-        scene = chart(str(name_or_path), **lit, **options)
+        scene = chart(
+            str(name_or_path),
+            light=light or LIGHT,
+            luminance=level,
+            samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
+            **select_options(name_or_path, CHARTS_TAKE, given),
+        )
     elif path.suffix.lower() in SUFFIXES:
         white = white_radiance(illuminant(light or LIGHT), level)
         scene = relight(path, read_scene(path, white, given), light, luminance)
@@ -210,8 +221,11 @@ def relight(path, scene: Scene, light: str | None, luminance: float | None) -> S
     if light is None and luminance is None:
         return scene
     if light and isinstance(scene.content, Illuminated):
-        what = f"light {light!r}: the file's light varies over the scene"
-        raise BadFile(path, f"{what}; give only luminance, or use gpusim.illuminated")
+        raise BadFile(
+            path,
+            f"light {light!r}: the file's light varies over the scene; give only luminance, or use "
+            "gpusim.illuminated",
+        )
     if scene.light_is_known:
         own = energy_from_photons(scene.illuminant)
         radiance = white_radiance(illuminant(light) if light else own, luminance or xyz(own)[1])

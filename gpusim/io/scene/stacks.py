@@ -71,9 +71,11 @@ def cut_noise(path, values) -> list[str]:
     if not np.isfinite([low, high]).all():
         raise BadFile(path, "NaN or infinite values, or more than float32 holds")
     if low < -NEGATIVE * max(high, 0):
-        what = f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise"
-        wanted = "light, with samples without data left out or marked by the header"
-        raise BadFile(path, f"{what}; wanted {wanted}")
+        raise BadFile(
+            path,
+            f"negative values (lowest {low:.3g}, highest {high:.3g}), more than noise; wanted light, "
+            "with samples without data left out or marked by the header",
+        )
     if low >= 0:
         return []
     below = 0

@@ -87,13 +87,19 @@ def read_picture(path) -> np.ndarray:
     """
     with _open_pages(path) as (pages, stored):
         if len(pages) > 1:
-            what = f"{len(pages)} pages; give their wavelengths [nm]"
-            raise BadFile(path, f"{what}, for example --wavelengths 400:700:10")
+            raise BadFile(
+                path,
+                f"{len(pages)} pages; give their wavelengths [nm], for example --wavelengths "
+                "400:700:10",
+            )
         page = pages[0]
         wanted = {WHITE_IS_ZERO: 1, BLACK_IS_ZERO: 1, RGB: 3}.get(page.photometric)
         if wanted is None or page.shape[0] != wanted + (page.alpha > 0):
-            what = f"{page.shape[0]} channels, {page.source.photometric!r}; wanted grey or RGB"
-            raise BadFile(path, f"{what}, with or without alpha, or wavelengths of its planes")
+            raise BadFile(
+                path,
+                f"{page.shape[0]} channels, {page.source.photometric!r}; wanted "
+                "grey or RGB, with or without alpha, or wavelengths of its planes",
+            )
         rows, cols = page.shape[1:]
         nbytes = math.prod(page.shape) * page.dtype.itemsize
         needed = stored + COPIES * nbytes + FLOATS * rows * cols
@@ -112,9 +118,13 @@ def read_picture(path) -> np.ndarray:
 
 def _turn(samples, orientation):
     """Return samples (rows, cols, channels), turned as the tag Orientation, 1 .. 8, says."""
-    place = (orientation - 1) % 4 if 1 <= orientation <= 8 else 0
-    turned = samples.swapaxes(0, 1) if 5 <= orientation <= 8 else samples
-    return turned[:: -1 if place in (2, 3) else 1, :: -1 if place in (1, 2) else 1]
+    if orientation in (5, 6, 7, 8):
+        samples = samples.swapaxes(0, 1)
+    if orientation in (3, 4, 7, 8):
+        samples = samples[::-1]
+    if orientation in (2, 3, 6, 7):
+        samples = samples[:, ::-1]
+    return samples
 
 
 @contextmanager
@@ -147,16 +157,21 @@ def _pages(path, tiff, size):
 def _page(path, page, size):
     """Return the description of a page; raise BadFile if it cannot be read or is truncated."""
     if page.dtype is None or page.dtype.name not in TYPES:
-        what = f"samples of {page.bitspersample} bits of the kind {page.sampleformat}"
-        raise BadFile(path, f"{what}; wanted 8 or 16 bit whole numbers, or floats")
+        raise BadFile(
+            path,
+            f"samples of {page.bitspersample} bits of the kind {page.sampleformat}; wanted 8 or 16 bit "
+            "whole numbers, or floats",
+        )
     if int(page.compression) not in RATIOS or int(page.predictor) not in (1, 2, FLOATING):
         why = f"compressed by {page.compression!r}, {page.predictor!r}; wanted LZW, deflate or none"
         raise BadFile(path, why)
     if int(page.compression) == LZW or int(page.predictor) == FLOATING:
         _require_codecs(path, page)
     shape = (0,)
-    if page.axes in ("YX", "SYX"):
-        shape = (1, *page.shape)[-3:]
+    if page.axes == "YX":
+        shape = (1, *page.shape)
+    elif page.axes == "SYX":
+        shape = page.shape
     elif page.axes == "YXS":
         shape = (page.shape[2], *page.shape[:2])
     # a damaged tag may hold several numbers
@@ -166,12 +181,17 @@ def _page(path, page, size):
     starts, lengths = page.dataoffsets, page.databytecounts
     ends = [start + length for start, length in zip(starts, lengths, strict=False)]
     if len(ends) < max(1, len(lengths)) or min(lengths) < 1 or max(ends) > size:
-        what = f"truncated: pixels up to byte {max(ends, default=0)} in a file of {size}"
-        raise BadFile(path, f"{what}, or missing parts")
+        end = max(ends, default=0)
+        raise BadFile(
+            path, f"truncated: pixels up to byte {end} in a file of {size}, or missing parts"
+        )
     nbytes, stored = math.prod(shape) * page.dtype.itemsize, sum(page.databytecounts)
     if nbytes > RATIOS[int(page.compression)] * stored:
-        what = f"truncated or damaged: {shape[2]} x {shape[1]} pixels are {nbytes} bytes"
-        raise BadFile(path, f"{what}, which cannot come from {stored}")
+        raise BadFile(
+            path,
+            f"truncated or damaged: {shape[2]} x {shape[1]} pixels are {nbytes} bytes, which cannot "
+            f"come from {stored}",
+        )
     extra = [int(one) for one in page.extrasamples]
     alpha = extra[0] if len(extra) == 1 and extra[0] in (1, 2) else 0
     turn = int(page.tags.valueof("Orientation", 1))
@@ -182,9 +202,11 @@ def _require_codecs(path, page):
     from importlib.util import find_spec
 
     if find_spec("imagecodecs") is None:
-        what = f"compressed by {page.compression!r}, {page.predictor!r}"
-        wanted = "pip install 'gpusim[tiff]', or a file that is not compressed"
-        raise BadFile(path, f"{what}: wanted {wanted}")
+        raise BadFile(
+            path,
+            f"compressed by {page.compression!r}, {page.predictor!r}: wanted pip install "
+            "'gpusim[tiff]', or a file that is not compressed",
+        )
 
 
 def _pixels(path, page):

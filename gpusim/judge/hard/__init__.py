@@ -40,5 +40,13 @@ def hard(device: Device, numbers: Iterable[int] | None = None) -> Iterator[dict]
         except Exception as error:  # a driver may raise anything; the next cases are still judged
             got, limit, why = float("inf"), 0.0, f"{type(error).__name__}: {error}".splitlines()[0]
         got = float(got) if got == got else float("inf")
-        row = {"number": number, "name": case.name, "device": device.name, "asked": case.asked}
-        yield row | {"got": got, "limit": float(limit), "ok": bool(got <= limit), "why": why}
+        yield {
+            "number": number,
+            "name": case.name,
+            "device": device.name,
+            "asked": case.asked,
+            "got": got,
+            "limit": float(limit),
+            "ok": bool(got <= limit),
+            "why": why,
+        }

@@ -130,7 +130,8 @@ def wider_than_a_tile(device):
 
     whole = blurred(planes)
     around = np.pad(planes, ((0, 0), (margin, margin), (margin, margin)))
-    side, tiled = 24 + 2 * margin, np.zeros_like(whole)
+    side = 24 + 2 * margin
+    tiled = np.zeros_like(whole)
     for y in range(0, 72, 24):
         for x in range(0, 72, 24):
             window = around[:, y : y + side, x : x + side]
@@ -242,8 +243,13 @@ def picture(q: float, fill: float, fine: int, device) -> tuple[np.ndarray, float
     share = slanted_edge(fine * (160 + 2 * MARGIN), fine * (420 + 2 * MARGIN))
     values = np.zeros((3, *share.shape), np.float32)
     values[1] = DARK + (BRIGHT - DARK) * share
-    light, margin = unit_light(LINES), fine * MARGIN
-    scene = Scene(Cube(LINES, values), light, "scene", margin=margin, samples_per_pixel=fine)
+    scene = Scene(
+        Cube(LINES, values),
+        unit_light(LINES),
+        "scene",
+        margin=fine * MARGIN,
+        samples_per_pixel=fine,
+    )
     simulator = Simulator(camera, device=device)
     exposure = simulator.expose(scene, 1.0)
     image = simulator.device.numpy(exposure.mean).astype(np.float64) / exposure.plan.weights[0, 1]
@@ -299,7 +305,15 @@ def sampled_error(planes, q, cfa, margin, device) -> tuple[float, bool]:
     full = np.fft.ifft2((tables * np.fft.fft2(wide)).sum(axis=1)).real
     (top, _), (left, _) = pads
     full = full[:, top + margin : top + rows - margin, left + margin : left + cols - margin]
-    planes, mix = np.ascontiguousarray(planes), np.ones((3, 4))
-    result = mosaic(planes, quarter, mix, np.array(cfa), "edge", period, margin, device=device)
+    result = mosaic(
+        np.ascontiguousarray(planes),
+        quarter,
+        np.ones((3, 4)),
+        np.array(cfa),
+        "edge",
+        period,
+        margin,
+        device=device,
+    )
     wanted = truth.mosaic_of(full, cfa)
     return np.abs(result - wanted).max() / np.abs(wanted).max(), is_folded

@@ -34,8 +34,14 @@ COLOUR_PLACES = np.array(
 
 def blur_plane(plane, blur, device, border="reflect", **more):
     """Return one plane after the stage `optics.field`."""
-    inputs = {"planes": plane[None].astype(np.float32), "mix": ONE, "border": border}
-    return field(**inputs | blur.stage_inputs | more, device=device)[0]
+    inputs = {
+        "planes": plane[None].astype(np.float32),
+        "mix": ONE,
+        "border": border,
+        **blur.stage_inputs,
+        **more,
+    }
+    return field(**inputs, device=device)[0]
 
 
 @case(
@@ -59,10 +65,16 @@ def _colour_of(shape, f_number, device):
     camera = open_camera("mono")
     lateral = Spectrum(np.array([450.0, 650.0]), np.array([-3.0, 3.0]) / (np.hypot(*shape) / 2))
     shift = 80e-6 if f_number > 5 else 30e-6
-    lens = {"f_number": f_number, "lateral_color": lateral, "relative_illumination": "none"}
-    lens["defocus"] = Spectrum(np.array([450.0, 650.0]), np.array([-shift, shift]))
+    axial = Spectrum(np.array([450.0, 650.0]), np.array([-shift, shift]))
     sensor = replace(camera.sensor, fill_factor=1.0)
-    camera = replace(camera, sensor=sensor, optics=replace(camera.optics, **lens))
+    optics = replace(
+        camera.optics,
+        f_number=f_number,
+        lateral_color=lateral,
+        defocus=axial,
+        relative_illumination="none",
+    )
+    camera = replace(camera, sensor=sensor, optics=optics)
     values = np.stack([make_texture(shape, seed) for seed in range(len(BANDS))]).astype(np.float32)
     scene = Scene(Cube(BANDS, values), unit_light(BANDS))
     simulator = Simulator(camera, device=device, tolerance="1e-3")
@@ -73,7 +85,8 @@ def _colour_of(shape, f_number, device):
     except OutOfRange as refusal:
         return Found(0.0, 1e-3, f"{words} refused: {refusal}")
     places = [(int(shape[0] * v), int(shape[1] * u)) for v, u in COLOUR_PLACES]
-    weights, report = loop.plan.weights[0], frame.report
+    weights = loop.plan.weights[0]
+    report = frame.report
     exact = np.array([_pixel_electrons(values, camera, weights, place) for place in places])
     error = truth.relative(np.array([frame.mean[place] for place in places], float), exact)
     if not report.verdict.is_met:

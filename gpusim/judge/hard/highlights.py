@@ -124,12 +124,14 @@ def at_the_corner(device):
         lit = Scene(Cube(lines, values), LIGHT, border, margin)
         simulator = Simulator(CAMERA, device=device)
         before, after = mean_of(simulator, dark), mean_of(simulator, lit)
-        mirrored, images = border == "reflect", [place]
+        mirrored = border == "reflect"
+        images = [place]
         if mirrored:
             images = [(y, x) for y in {place[0], -1 - place[0]} for x in {place[1], -1 - place[1]}]
         weights = electrons_per_content(lit, CAMERA)
         more = np.float64(np.float32(100.0)) - np.float32(1e-3)
-        adds, (rows, cols) = 0.0, map(np.arange, shape)
+        rows, cols = np.arange(shape[0]), np.arange(shape[1])
+        adds = 0.0
         for band, one in enumerate(q):
             for y, x in images:
                 pattern = truth.point(float(one), rows - y, cols - x)

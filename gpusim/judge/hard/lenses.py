@@ -78,10 +78,10 @@ def seidel_lens(shape, waves, size):
 
     def lens(places):
         away = np.asarray(places, np.float64) - middle  # the other quadrants are mirror images
-        turns = (
-            (quadrant(abs(y), abs(x)), -1 if y < 0 else 1, -1 if x < 0 else 1) for y, x in away
-        )
-        return np.stack([own[::down, ::right] for own, down, right in turns])[:, None]
+        kernels = [
+            quadrant(abs(y), abs(x))[:: -1 if y < 0 else 1, :: -1 if x < 0 else 1] for y, x in away
+        ]
+        return np.stack(kernels)[:, None]
 
     return lens
 

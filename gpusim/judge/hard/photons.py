@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from itertools import combinations
-from unittest import mock
 
 import numpy as np
 
@@ -244,9 +243,15 @@ def open_relaxed(device):
     if device.kind != "opencl":
         yield None
         return
-    # pyopencl adds them to every build
-    with mock.patch.dict(os.environ, {"PYOPENCL_BUILD_OPTIONS": RELAXED}):
+    before = os.environ.get("PYOPENCL_BUILD_OPTIONS")
+    os.environ["PYOPENCL_BUILD_OPTIONS"] = RELAXED  # pyopencl adds them to every build
+    try:
         yield type(device)(device.cl_device, f"{device.name}, relaxed")
+    finally:
+        if before is None:
+            del os.environ["PYOPENCL_BUILD_OPTIONS"]
+        else:
+            os.environ["PYOPENCL_BUILD_OPTIONS"] = before
 
 
 @case(23, "fast mathematics", "flush to zero and fast math on and off: the suite passes on both")

@@ -132,7 +132,8 @@ def many_frames(device):
         yield Found(abs(mean.mean() / level - 1), 1e-6, f"relative error of the mean, {bits} bits")
         yield Found(ALPHA / max(p, 1e-300), 1.0, f"1e-6 over the p-value of the means, {bits} bits")
         sensor = replace(WITHOUT_CONVERTER, bits=bits, gain=1.0, noise=Noise(read=1.0))
-        readout, number = Readout(sensor, device), int if bits == 16 else float
+        readout = Readout(sensor, device)
+        number = int if bits == 16 else float
         expected = device.array(np.array([[6e4, 59999.0, 1.0]], f32))
         drawn = [readout.draw(expected, 1.0, seed=2, first=5 + frame) for frame in range(700)]
         frames = np.array([device.numpy(one)[0] for one in drawn])

@@ -19,9 +19,22 @@ from gpusim.pipeline.simulator import Simulator
 
 PATCHES = reflectances("colorchecker")  # 24, at every 5 nm
 # a compact fluorescent lamp: mercury and rare earths, wavelength [nm] and power of each line
-_PLACES = 404.7, 435.8, 487.7, 492.5, 542.4, 546.1, 577, 579.1, 585, 587.6, 593.5, 599, 611.6, 631.1
-_POWERS = 0.25, 0.7, 0.35, 0.15, 0.7, 1.0, 0.15, 0.15, 0.2, 0.2, 0.2, 0.15, 1.1, 0.25
-FLUORESCENT = tuple(zip(_PLACES, _POWERS, strict=True))
+FLUORESCENT = (
+    (404.7, 0.25),
+    (435.8, 0.7),
+    (487.7, 0.35),
+    (492.5, 0.15),
+    (542.4, 0.7),
+    (546.1, 1.0),
+    (577.0, 0.15),
+    (579.1, 0.15),
+    (585.0, 0.2),
+    (587.6, 0.2),
+    (593.5, 0.2),
+    (599.0, 0.15),
+    (611.6, 1.1),
+    (631.1, 0.25),
+)
 LASERS = ((447.3, 1.0), (523.7, 1.0), (638.1, 1.0))
 SODIUM = ((589.0, 2.0), (589.6, 1.0))
 
