@@ -122,9 +122,14 @@ class Noise:
     def __post_init__(self):
         check_known("noise.photon", self.photon, PHOTONS)
         check_fields("noise", self, LIMITS)
-        warmer = self.temperature - self.reference_temperature
-        if not abs(warmer) <= MOST_DOUBLINGS * self.doubling:
-            raise OutOfRange("noise.doubling", f"{self.doubling:.6g} K", LIMITS["doubling"].words)
+        try:
+            warmer = abs(self.temperature - self.reference_temperature)
+            is_allowed = warmer <= MOST_DOUBLINGS * self.doubling
+        except TypeError:  # numbers of kinds that do not mix, such as Decimal and float
+            is_allowed = False
+        if not is_allowed:
+            shown = f"{float(self.doubling):.6g} K"
+            raise OutOfRange("noise.doubling", shown, LIMITS["doubling"].words)
         for part, size in (("hot_pixels", "hot_current"), ("telegraph_pixels", "telegraph")):
             if getattr(self, part) and not getattr(self, size):
                 raise BadData(
