@@ -79,7 +79,7 @@ def test_numbers_of_other_kinds_are_refused(make):
 
 
 def test_a_scene_may_have_any_name():
-    picture = gs.display_picture(np.zeros((4, 4, 3), np.uint8), "srgb")
+    picture = gs.display_picture(np.zeros((4, 4, 3), np.uint8), gs.open_display("srgb"))
     assert replace(picture, name=HUGE).name == HUGE
 
 
