@@ -304,9 +304,8 @@ class Scene(Pictured):
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the frame [pixel]."""
         # 1.1 is no binary fraction: 11 samples are 10 pixels of that size, not 9.999...
-        rows, cols = self.samples
-        down = int(rows / self.samples_per_pixel * (1 + 1e-12))
-        return down, int(cols / self.samples_per_pixel * (1 + 1e-12))
+        rows, cols = (int(n / self.samples_per_pixel * (1 + 1e-12)) for n in self.samples)
+        return rows, cols
 
     @property
     def samples(self) -> tuple[int, int]:
@@ -328,12 +327,12 @@ class Scene(Pictured):
         return bool((self.illuminant.values != 1).any())
 
 
-def _copy_with(part, **fields):
+def _copy_with(part, /, **fields):
     """Return a copy with other fields, which are not checked."""
-    made = copy(part)
+    other = copy(part)
     for name, value in fields.items():
-        object.__setattr__(made, name, value)
-    return made
+        object.__setattr__(other, name, value)
+    return other
 
 
 def checked_scene(scene) -> Scene:
