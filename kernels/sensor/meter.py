@@ -258,5 +258,5 @@ def bench(rows, cols):
     """Return inputs: light with lamps and no quantile, as for exposure by the mean."""
     random = np.random.default_rng(11)
     rates = random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32)
-    weights = {"weights_y": _weights(rates.shape[0]), "weights_x": _weights(cols)}
+    weights = {"weights_y": _weights(rows), "weights_x": _weights(cols)}
     return {"rates": rates, **weights, "fractions": ()}
