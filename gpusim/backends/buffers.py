@@ -29,8 +29,11 @@ class OpenCLArray:
     """
 
     def __init__(self, device, buffer, shape, dtype, host=None, owner=None, region=None):
-        self.device, self.buffer, self.ptr = device, buffer, buffer.int_ptr
-        self.shape, self.dtype = tuple(shape), np.dtype(dtype)
+        self.device = device
+        self.buffer = buffer
+        self.ptr = buffer.int_ptr
+        self.shape = tuple(shape)
+        self.dtype = np.dtype(dtype)
         self.host, self.owner, self.region = host, owner, region or (buffer, 0)
         self.nbytes = prod(self.shape) * self.dtype.itemsize
 

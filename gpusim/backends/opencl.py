@@ -43,7 +43,8 @@ class OpenCLDevice(Taped):
     def __init__(self, cl_device, name: str):
         super().__init__()
         self._cl = cl = pyopencl()
-        self.name, self.cl_device = name, cl_device
+        self.name = name
+        self.cl_device = cl_device
         self.group_limit = cl_device.max_work_group_size
         self.local_bytes = min(self.local_bytes, cl_device.local_mem_size)
         self.is_gpu = bool(cl_device.type & cl.device_type.GPU)

@@ -27,14 +27,35 @@ PROCESSORS = {
 
 
 # LLVM 14's names of processors with vectors of 64 and of 32 bytes
-WITH_AVX512 = set(
-    "knl knm skylake-avx512 cascadelake cooperlake cannonlake icelake-client icelake-server "
-    "rocketlake tigerlake sapphirerapids".split()
-)
-WITH_AVX = set(
-    "sandybridge ivybridge haswell broadwell skylake alderlake btver2 bdver1 bdver2 bdver3 bdver4 "
-    "znver1 znver2 znver3".split()
-)
+WITH_AVX512 = {
+    "knl",
+    "knm",
+    "skylake-avx512",
+    "cascadelake",
+    "cooperlake",
+    "cannonlake",
+    "icelake-client",
+    "icelake-server",
+    "rocketlake",
+    "tigerlake",
+    "sapphirerapids",
+}
+WITH_AVX = {
+    "sandybridge",
+    "ivybridge",
+    "haswell",
+    "broadwell",
+    "skylake",
+    "alderlake",
+    "btver2",
+    "bdver1",
+    "bdver2",
+    "bdver3",
+    "bdver4",
+    "znver1",
+    "znver2",
+    "znver3",
+}
 
 
 def known_processor(cl_device) -> str:

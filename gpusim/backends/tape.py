@@ -231,7 +231,7 @@ class Taped(Device):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._empty(shape, dtype)
-        request = "empty", tuple(shape), np.dtype(dtype).str
+        request = ("empty", tuple(shape), np.dtype(dtype).str)
         return tape.again(request, self._empty, shape, dtype)
 
     def reshape(self, array, shape):
@@ -280,12 +280,13 @@ class Taped(Device):
     @refusable(of_values)
     def _start_copy(self, target, source, count, start, to):
         """Copy `count` values between arrays, in turn with launches."""
-        tape, what = _current.tape, (self, target, source, count, start, to)
+        tape = _current.tape
+        places = (count, start, to)
         if tape is None:
-            Copy(*what).start()
+            self._copy(self._clock.charged or "copies", target, source, *places)
         else:
-            places = _place(target), _place(source), count, start, to
-            command = tape.again(("copy", *places), Copy, *what)
+            request = ("copy", _place(target), _place(source), *places)
+            command = tape.again(request, Copy, self, target, source, *places)
             command.set((target, source))
             tape.start(command)
 
@@ -300,12 +301,14 @@ class Taped(Device):
     ):
         if numbers:
             args = (*args, *last_arguments(numbers, words))
-        tape, what = _current.tape, (stage, kernel, grid, args, defines or {}, group)
+        tape = _current.tape
         if tape is None:
-            self._launch(*what)
+            self._launch(stage, kernel, grid, args, defines or {}, group)
         elif 0 not in grid:
             request = stage, kernel, tuple(grid), group, defines
-            command = tape.again(request, self._command, *what)
+            command = tape.again(
+                request, self._command, stage, kernel, grid, args, defines or {}, group
+            )
             command.set(args)
             if numbers:
                 tape.numbered.append((command, numbers, words))

@@ -75,7 +75,9 @@ class WarpDevice(Taped):
             self.wp_device = wp.get_device(alias)
         except Exception as error:  # Warp raises ValueError or RuntimeError by version
             raise DeviceError(f"{name}: {error}") from error
-        self._wp, self.name, self._home = wp, name, self.wp_device
+        self._wp = wp
+        self._home = self.wp_device
+        self.name = name
         self.is_gpu = self.wp_device.is_cuda
         self.on_host = not self.is_gpu
         if self.is_gpu:  # Warp's kernels use 4 bytes a work-item

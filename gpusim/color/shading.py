@@ -134,14 +134,14 @@ def _nodes(maps, steps, shape):
         places = [np.linspace(0, size, max(min(count, size + 1), 2)) - 0.5 for size in shape]
         nodes, error = [], 0.0
         for map_, first in maps:
-            made, back = map_, []
+            values, hats = map_, []
             for place, start, step, size, pixels in zip(
                 places, first, steps, map_.shape, shape, strict=True
             ):
-                made = _at(made, (place - start) / step, size).T
-                back.append(_hats(len(place), pixels)[start::step])
-            error = max(error, np.abs(back[0] @ made @ back[1].T / map_ - 1).max())
-            nodes.append(made)
+                values = _at(values, (place - start) / step, size).T
+                hats.append(_hats(len(place), pixels)[start::step])
+            error = max(error, np.abs(hats[0] @ values @ hats[1].T / map_ - 1).max())
+            nodes.append(values)
         if error <= INTERPOLATION:
             break
     return np.stack(nodes)

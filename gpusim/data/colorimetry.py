@@ -48,8 +48,9 @@ def xyz(spectrum: Spectrum, light: Spectrum | None = None) -> np.ndarray:
     """
     axes = [factor.wavelengths for factor in (cmf(), spectrum, light) if factor is not None]
     nodes = np.unique(np.concatenate(axes))
-    first, last = np.transpose([axis[[0, -1]] for axis in axes])
-    nodes = nodes[(nodes >= first.max()) & (nodes <= last.min())]
+    low = max(axis[0] for axis in axes)
+    high = min(axis[-1] for axis in axes)
+    nodes = nodes[(nodes >= low) & (nodes <= high)]
     if len(nodes) < 2:
         return np.zeros((*spectrum.values.shape[:-1], 3))
     steps = np.diff(nodes)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import tables, xyz
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
 from gpusim.domain.spectrum import BOLTZMANN, LIGHT_SPEED, PLANCK, Spectrum, photons_from_energy
 
 BRIGHTEST = 1e12  # [cd m-2]; the sun has 1.6e9
@@ -35,7 +35,7 @@ def illuminant(name: str, wavelengths: ArrayLike | None = None) -> Spectrum:
         UnknownName: The name is not known.
     """
     if not isinstance(name, str):
-        raise UnknownName("light", str(name), illuminant_names())
+        raise UnknownName("light", one_line(name), illuminant_names())
     match = TEMPERATURE.fullmatch(name.lower())
     if match and match[1] == "blackbody":
         return blackbody(

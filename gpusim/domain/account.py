@@ -141,7 +141,9 @@ def total(bounds: Iterable[Bound]) -> Bound:
     Quadrature also serves for the maxima: they seldom fall on one pixel.
     """
     known = [bound.figures for bound in bounds if bound.is_known]
-    return Bound(*map(hypot, *known)) if known else Bound()
+    if not known:
+        return Bound()
+    return Bound(*(hypot(*figures) for figures in zip(*known, strict=True)))
 
 
 @dataclass(frozen=True)
@@ -219,7 +221,7 @@ class Account:
         """
         ratio, figure, value, bound, unit = self.total.nearest(tolerance)
         shares = {name: getattr(one, figure) for name, one in self.bounds.items() if one.is_known}
-        keeps, by = SAFETY * ratio <= 1, max(shares, key=shares.__getitem__, default="")
+        keeps, by = SAFETY * ratio <= 1, max(shares, key=lambda name: shares[name], default="")
         words = f"{value:.2g} of {bound:.2g}{unit}, predicted"
         if not keeps:
             words += f" (times {SAFETY:g} to be sure), most of it {by}: {shares[by]:.2g}"

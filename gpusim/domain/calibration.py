@@ -17,7 +17,10 @@ from gpusim.domain.errors import (
 )
 from gpusim.domain.short_repr import short_repr
 
-PINHOLE = tuple("k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tau_x tau_y".split())  # OpenCV's order
+PINHOLE = (  # OpenCV's order
+    *("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
+    *("s1", "s2", "s3", "s4", "tau_x", "tau_y"),
+)
 FISHEYE = ("k1", "k2", "k3", "k4")
 COUNTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV knows for a pinhole
 FINITE_NUMBER = Limits("a finite number", FINITE)

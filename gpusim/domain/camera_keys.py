@@ -109,8 +109,11 @@ def _table(cls, known):
     def read(value):
         if type(value) is not dict or not value.keys() <= known.keys():
             raise _Wanted(f"a table of {', '.join(known)}")
-        given = [(*known[key], item) for key, item in value.items()]
-        return cls(**{field: read_item(item) for field, read_item, item in given})
+        fields = {}
+        for key, item in value.items():
+            field, read_item = known[key]
+            fields[field] = read_item(item)
+        return cls(**fields)
 
     return read
 

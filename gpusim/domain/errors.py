@@ -7,9 +7,9 @@ import difflib
 import re
 from collections.abc import Container, Iterable, Mapping
 from dataclasses import dataclass
-from math import inf
+from math import inf, isfinite
 from numbers import Integral
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 LONGEST = 480  # letters of a message: with "gpusim: " and a program's words it fits 500
 LONGEST_PATH, LONGEST_VALUE = 160, 120  # letters that a message repeats from the input
@@ -160,7 +160,11 @@ RANGE = re.compile(r"(\S+) (<=?) \w+ (<=?) ([^\s,]+)")
 
 @dataclass(frozen=True)
 class Interval:
-    """The numbers between two ends, for `in`; TypeError for values that cannot be compared."""
+    """The finite numbers between two ends, for `in`.
+
+    It raises TypeError for values that cannot be compared, OverflowError for integers beyond all
+    floating-point numbers.
+    """
 
     lowest: float
     highest: float
@@ -168,12 +172,12 @@ class Interval:
     has_highest: bool = True
 
     def __contains__(self, value):
-        if not (self.lowest <= value if self.has_lowest else self.lowest < value):
-            return False
-        return value <= self.highest if self.has_highest else value < self.highest
+        is_above = self.lowest <= value if self.has_lowest else self.lowest < value
+        is_below = value <= self.highest if self.has_highest else value < self.highest
+        return is_above and is_below and isfinite(value)
 
 
-FINITE = Interval(-inf, inf, has_lowest=False, has_highest=False)
+FINITE = Interval(-inf, inf)
 
 
 class Limits(NamedTuple):
@@ -192,6 +196,19 @@ class Limits(NamedTuple):
     unit: str = ""
     kind: type = object
     is_pair: bool = False
+
+    def allow(self, value: Any) -> bool:
+        """Return True if the value is within the limits.
+
+        It raises TypeError, ValueError or OverflowError for a value of a kind that cannot be
+        compared.
+        """
+        if self.is_pair:
+            return len(value) == 2 and all(map(self._allow_number, value))
+        return self._allow_number(value)
+
+    def _allow_number(self, number):
+        return isinstance(number, self.kind) and (self.values is None or number in self.values)
 
 
 def within(words: str, unit: str = "") -> Limits:
@@ -215,24 +232,25 @@ def check_fields(owner: str, part, limits: Mapping[str, Limits]):
         value = getattr(part, key)
         if value is None and getattr(type(part), key, 0) is None:
             continue
+        shown = f"{value:.6g}" if isinstance(value, float) else value
         try:
-            right = len(value) == 2 if limit.is_pair else True
-            for item in value if limit.is_pair else [value]:
-                right = right and isinstance(item, limit.kind)
-                right = right and (limit.values is None or item in limit.values)
-        # not of a kind that can be compared
+            is_allowed = limit.allow(value)
         except (TypeError, ValueError, OverflowError):
-            right, value = False, value if isinstance(value, int) else repr(value)
-        if not right:
-            short = f"{value:.6g}" if isinstance(value, float) else value
-            raise OutOfRange(
-                f"{owner}.{key}",
-                f"{one_line(short, LONGEST_VALUE)} {limit.unit}".rstrip(),
-                limit.words,
-            )
+            is_allowed, shown = False, _write(value)
+        if not is_allowed:
+            shown = one_line(shown, LONGEST_VALUE)
+            raise OutOfRange(f"{owner}.{key}", f"{shown} {limit.unit}".rstrip(), limit.words)
+
+
+def _write(value):
+    """Return a value as Python writes it, for a message."""
+    try:
+        return repr(value)
+    except (ValueError, RecursionError):  # integers of more than 4300 digits, lists in themselves
+        return one_line(value)
 
 
 def check_known(what: str, name, known: Iterable[str]):
     """Raise UnknownName unless `name` is a string among the known ones."""
     if not is_known(name, known):
-        raise UnknownName(what, str(name), known)
+        raise UnknownName(what, name if isinstance(name, str) else one_line(name), known)

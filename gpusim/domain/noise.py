@@ -22,34 +22,39 @@ ZERO_CELSIUS = 273.15  # [K]
 MOST_DOUBLINGS = 60
 SLOWEST_SWITCHING = 1 / 1024  # [1/frame]; a state is traced back through about 1024 frames
 # 1e12: more electrons than any pixel holds; its square is far from float32's limit
-UNITS = {"dark_current": "e-/s", "hot_current": "e-/s", "adc": "DN"}
-AMOUNTS = "dark_current hot_current read reset adc row column dsnu row_dsnu column_dsnu telegraph"
-LIMITS = (
-    {key: within(f"0 <= {key} <= 1e12", UNITS.get(key, "e-")) for key in AMOUNTS.split()}
-    | {key: within(f"0 <= {key} < 1") for key in ("prnu", "row_prnu", "column_prnu")}
-    | {
-        key: within(f"0 <= {key} <= 1, a part of all pixels")
-        for key in ("hot_pixels", "dead_pixels", "telegraph_pixels")
-    }
-    | {
-        key: within(f"-273.15 < {key} <= 1000", "deg C")
-        for key in ("temperature", "reference_temperature")
-    }
-    | {
-        "doubling": within(
-            "0.1 <= doubling <= 1000, with at most 60 doublings or halvings of the dark current",
-            "K",
-        ),
-        "telegraph_switching": Limits(
-            "1/1024 <= telegraph_switching <= 1", Interval(SLOWEST_SWITCHING, 1), "per frame"
-        ),
-        "seed": Limits(
-            "a whole number, 0 <= seed < 2**64",
-            Interval(0, 2**64, has_highest=False),
-            kind=Integral,
-        ),
-    }
-)
+AMOUNTS = {
+    "dark_current": "e-/s",
+    "hot_current": "e-/s",
+    "read": "e-",
+    "reset": "e-",
+    "adc": "DN",
+    "row": "e-",
+    "column": "e-",
+    "dsnu": "e-",
+    "row_dsnu": "e-",
+    "column_dsnu": "e-",
+    "telegraph": "e-",
+}
+LIMITS = {
+    **{key: within(f"0 <= {key} <= 1e12", unit) for key, unit in AMOUNTS.items()},
+    "prnu": within("0 <= prnu < 1"),
+    "row_prnu": within("0 <= row_prnu < 1"),
+    "column_prnu": within("0 <= column_prnu < 1"),
+    "hot_pixels": within("0 <= hot_pixels <= 1, a part of all pixels"),
+    "dead_pixels": within("0 <= dead_pixels <= 1, a part of all pixels"),
+    "telegraph_pixels": within("0 <= telegraph_pixels <= 1, a part of all pixels"),
+    "temperature": within("-273.15 < temperature <= 1000", "deg C"),
+    "reference_temperature": within("-273.15 < reference_temperature <= 1000", "deg C"),
+    "doubling": within(
+        "0.1 <= doubling <= 1000, with at most 60 doublings or halvings of the dark current", "K"
+    ),
+    "telegraph_switching": Limits(
+        "1/1024 <= telegraph_switching <= 1", Interval(SLOWEST_SWITCHING, 1), "per frame"
+    ),
+    "seed": Limits(
+        "a whole number, 0 <= seed < 2**64", Interval(0, 2**64, has_highest=False), kind=Integral
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -122,9 +127,14 @@ class Noise:
     def __post_init__(self):
         check_known("noise.photon", self.photon, PHOTONS)
         check_fields("noise", self, LIMITS)
-        warmer = self.temperature - self.reference_temperature
-        if not abs(warmer) <= MOST_DOUBLINGS * self.doubling:
-            raise OutOfRange("noise.doubling", f"{self.doubling:.6g} K", LIMITS["doubling"].words)
+        try:
+            warmer = abs(self.temperature - self.reference_temperature)
+            is_allowed = warmer <= MOST_DOUBLINGS * self.doubling
+        except TypeError:  # numbers of kinds that do not mix, such as Decimal and float
+            is_allowed = False
+        if not is_allowed:
+            shown = f"{float(self.doubling):.6g} K"
+            raise OutOfRange("noise.doubling", shown, LIMITS["doubling"].words)
         for part, size in (("hot_pixels", "hot_current"), ("telegraph_pixels", "telegraph")):
             if getattr(self, part) and not getattr(self, size):
                 raise BadData(

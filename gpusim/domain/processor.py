@@ -143,7 +143,7 @@ class Processor:
             raise BadData(
                 f"processor.white = {self.white!r}: wanted a number for each channel"
             ) from None
-        if not (np.isfinite(white).all() and (np.array(white) > 0).all()):
+        if not all(0 < value < np.inf for value in white):
             raise OutOfRange("processor.white", list(white), "numbers above 0")
         if bool(white) != (self.white_balance == "preset"):
             raise OutOfRange(

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.domain.content import Content
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
 from gpusim.domain.labels import Pictured
 from gpusim.domain.memory import is_array
 from gpusim.domain.short_repr import short_repr, shorten_repr
@@ -160,10 +160,10 @@ class Scene(Pictured):
     def __post_init__(self):
         if not isinstance(self.content, Content):
             raise BadData(
-                f"{self.name}: content {type(self.content).__name__}, wanted a Cube, Basis, Materials, "
+                f"{self._label}: content {type(self.content).__name__}, wanted a Cube, Basis, Materials, "
                 "Picture or Illuminated"
             )
-        self.content.check(self.name)
+        self.content.check(self._label)
         if self.border not in BORDERS:
             raise UnknownName("border", self.border, BORDERS)
         if self.fov is not None and not 0 < self.fov < np.pi:
@@ -174,7 +174,7 @@ class Scene(Pictured):
             )
         if min(self.samples) < 1:
             raise BadData(
-                f"{self.name}: nothing left of the {self.content.shape} samples inside margin {self.margin}"
+                f"{self._label}: nothing left of the {self.content.shape} samples inside margin {self.margin}"
             )
         if not 1 <= self.samples_per_pixel <= min(self.samples):  # NaN is refused as well
             rows, cols = self.samples
@@ -185,33 +185,37 @@ class Scene(Pictured):
             )
         if (self.illuminant.values < 0).any():
             raise BadData(
-                f"{self.name}: the illuminant is negative (lowest {self.illuminant.values.min():.3g})"
+                f"{self._label}: the illuminant is negative (lowest {self.illuminant.values.min():.3g})"
             )
         if self.depth is not None:
             if self.depth.shape != self.content.shape:
                 raise BadData(
-                    f"{self.name}: depth {self.depth.shape} does not match the scene {self.content.shape}"
+                    f"{self._label}: depth {self.depth.shape} does not match the scene {self.content.shape}"
                 )
             if not (self.depth > 0).all():
-                raise BadData(f"{self.name}: depth must be positive everywhere [m]")
+                raise BadData(f"{self._label}: depth must be positive everywhere [m]")
         self._check_view()
         self._check_layers()
 
     def _check_view(self):
         if not isinstance(self.view, View):
-            raise BadData(f"{self.name}: view {type(self.view).__name__}, wanted a View")
+            raise BadData(f"{self._label}: view {type(self.view).__name__}, wanted a View")
         if self.depth is not None and not self.view.is_plain:
             raise BadData(
-                f"{self.name}: a view does not move the depth of a scene; leave out view or depth"
+                f"{self._label}: a view does not move the depth of a scene; leave out view or depth"
             )
 
     def _check_layers(self):
         object.__setattr__(self, "layers", tuple(self.layers))
         if self.layers and self.depth is None:
-            raise BadData(f"{self.name}: layers need the depth of the scene behind them")
+            raise BadData(f"{self._label}: layers need the depth of the scene behind them")
         farther = -np.inf
         for number, layer in enumerate(self.layers):
-            name, content, shape = f"{self.name}: layer {number}", layer.content, self.content.shape
+            name, content, shape = (
+                f"{self._label}: layer {number}",
+                layer.content,
+                self.content.shape,
+            )
             content.check(name)
             if not content.is_like(self.content):
                 raise BadData(
@@ -292,12 +296,16 @@ class Scene(Pictured):
         return _copy_with(self, illuminant=self.illuminant.scale(factor))
 
     @property
+    def _label(self):
+        """The name in messages, whatever it is."""
+        return self.name if isinstance(self.name, str) else one_line(self.name)
+
+    @property
     def shape(self) -> tuple[int, int]:
         """Rows and columns of the frame [pixel]."""
         # 1.1 is no binary fraction: 11 samples are 10 pixels of that size, not 9.999...
-        rows, cols = self.samples
-        down = int(rows / self.samples_per_pixel * (1 + 1e-12))
-        return down, int(cols / self.samples_per_pixel * (1 + 1e-12))
+        rows, cols = (int(n / self.samples_per_pixel * (1 + 1e-12)) for n in self.samples)
+        return rows, cols
 
     @property
     def samples(self) -> tuple[int, int]:
@@ -319,12 +327,12 @@ class Scene(Pictured):
         return bool((self.illuminant.values != 1).any())
 
 
-def _copy_with(part, **fields):
+def _copy_with(part, /, **fields):
     """Return a copy with other fields, which are not checked."""
-    made = copy(part)
+    other = copy(part)
     for name, value in fields.items():
-        object.__setattr__(made, name, value)
-    return made
+        object.__setattr__(other, name, value)
+    return other
 
 
 def checked_scene(scene) -> Scene:

@@ -28,7 +28,9 @@ LIMITS = {
     "pixel_pitch": within("0 < pixel_pitch <= 0.001 m", "m"),
     "fill_factor": within("0 < fill_factor <= 1"),
     "photodetector": Limits(
-        "height and width over the pitch, 0 < each <= 1", Interval(0, 1, False), is_pair=True
+        "height and width over the pitch, 0 < each <= 1",
+        Interval(0, 1, has_lowest=False),
+        is_pair=True,
     ),
     "centre": Limits("rows and columns, within -0.5 .. 0.5", Interval(-0.5, 0.5), is_pair=True),
     "offset": Limits(
@@ -78,8 +80,8 @@ class Microlens:
     def __post_init__(self):
         angles = np.asarray(self.angles, np.float64)
         response = np.asarray(self.response, np.float64)
-        wanted = is_increasing(angles) and angles.shape == response.shape and len(angles) > 1
-        if not wanted or angles[0] != 0:
+        has_pairs = is_increasing(angles) and angles.shape == response.shape and len(angles) > 1
+        if not has_pairs or angles[0] != 0:
             raise BadData(
                 "sensor.microlens: wanted two or more angles rising from 0 and as many responses"
             )
@@ -263,7 +265,7 @@ class Sensor:
             )
 
     def _check_mosaic(self):
-        if set(map(len, self.channels)) != {1}:
+        if not self.channels or any(len(letter) != 1 for letter in self.channels):
             raise BadData(f"sensor.channels = {self.channels}: one letter per curve")
         if len(set(self.channels)) != len(self.channels):
             raise BadData(f"sensor.channels = {self.channels}: a letter occurs twice")
@@ -275,7 +277,7 @@ class Sensor:
         low, high = self.qe.values.min(), self.qe.values.max()
         if not (low >= 0 and high <= 1):
             raise OutOfRange("sensor.qe", f"{low:.6g} .. {high:.6g} e-/photon", "0 <= qe <= 1")
-        widths = set(map(len, self.cfa))
+        widths = {len(row) for row in self.cfa}
         if (
             len(widths) != 1
             or not 1 <= max(widths) <= LONGEST_PERIOD
@@ -350,7 +352,9 @@ class Sensor:
         """
         if self.stacked:
             return np.arange(len(self.channels), dtype=np.int32)[None]
-        return np.array([list(map(self.channels.index, row)) for row in self.cfa], np.int32)
+        return np.array(
+            [[self.channels.index(letter) for letter in row] for row in self.cfa], np.int32
+        )
 
     @property
     def is_monochrome(self) -> bool:

@@ -11,7 +11,7 @@ from gpusim.backends import Device
 from gpusim.color.rendering import Rendering
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, UnknownName
+from gpusim.domain.errors import BadData, check_known
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
@@ -70,8 +70,7 @@ SAME: Any = object()  # an argument of `Loop.update` that was not given
 
 def checked_output(name: str) -> str:
     """Return the name of an output. Raises UnknownName."""
-    if name not in [*OUTPUTS]:  # of any type
-        raise UnknownName("output", str(name), OUTPUTS)
+    check_known("output", name, OUTPUTS)
     return name
 
 

@@ -14,7 +14,7 @@ from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.content import Basis
 from gpusim.domain.display import Display
-from gpusim.domain.errors import BadData, OutOfRange, UnknownName, format_value
+from gpusim.domain.errors import BadData, OutOfRange, check_known, format_value
 from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, View, checked_scene
@@ -108,8 +108,7 @@ def spectra(scene: Scene, at: Any = None, ax: Any = None, *, quantity: str = "ra
         OutOfRange: if a place is outside the frame.
         UnknownName: if the quantity is unknown.
     """
-    if quantity not in QUANTITIES:
-        raise UnknownName("quantity", str(quantity), QUANTITIES)
+    check_known("quantity", quantity, QUANTITIES)
     scene = _apply_view(checked_scene(scene))
     if quantity == "reflectance" and not scene.light_is_known:
         raise BadData(

@@ -95,8 +95,17 @@ def inverse(device: Device, spectra: Any, cols: int) -> Any:
         return _host_inverse(device, spectra, cols)
     _columns(device, spectra, spectra, 0, 1)
     planes = device.empty((count, rows, cols))
-    scale = 1 / (rows * cols)
-    _rows(device, "rows_inverse", spectra, planes, (scale,), count * rows, (pitch,), cols, 1)
+    _rows(
+        device,
+        "rows_inverse",
+        spectra,
+        planes,
+        parameters=(1 / (rows * cols),),
+        rows=count * rows,
+        sizes=(pitch,),
+        length=cols,
+        sign=1,
+    )
     return planes
 
 
@@ -154,27 +163,50 @@ def _local_forward(device, planes, first, size, border, period):
     before_y, before_x = middle((rows, cols), period)
     halves = device.empty((size, rows, pitch, 2))
     spectra = device.empty((size, period[0], pitch, 2))
-    lines, start, sizes = size * rows, (first * rows, before_x), (cols, pitch)
-    _rows(device, "rows_forward", planes, halves, start, lines, sizes, period[1], -1, border)
+    _rows(
+        device,
+        "rows_forward",
+        planes,
+        halves,
+        parameters=(first * rows, before_x),
+        rows=size * rows,
+        sizes=(cols, pitch),
+        length=period[1],
+        sign=-1,
+        border=border,
+    )
     _columns(device, halves, spectra, before_y, -1, border)
     return spectra
 
 
 def _rows(device, kernel, source, target, parameters, rows, sizes, length, sign, border="zero"):
     group = threads(device, length, 1)
-    options = {"group": (group,), "defines": _defines(length, 1, group, sign, border)}
-    arrays = [source, roots(device, length), target]
-    grid = (-(-rows // 2) * group,)  # two rows to a line
-    device.launch("common.fft", kernel, grid, *arrays, *parameters, rows, *sizes, **options)
+    device.launch(
+        "common.fft",
+        kernel,
+        (-(-rows // 2) * group,),  # two rows to a line
+        *(source, roots(device, length), target),
+        *parameters,
+        rows,
+        *sizes,
+        group=(group,),
+        defines=_defines(length, 1, group, sign, border),
+    )
 
 
 def _columns(device, source, target, before, sign, border="zero"):
     (count, rows, pitch, _), length = source.shape, target.shape[1]
     lines = next(n for n in (SECTOR, 2, 1) if room(length, n) <= device.local_bytes)
     group, groups = threads(device, length, lines), pitch // lines
-    options = {"group": (group,), "defines": _defines(length, lines, group, sign, border)}
-    arrays, sizes = [source, roots(device, length), target], [before, rows, pitch, groups]
-    device.launch("common.fft", "columns", (count * groups * group,), *arrays, *sizes, **options)
+    device.launch(
+        "common.fft",
+        "columns",
+        (count * groups * group,),
+        *(source, roots(device, length), target),
+        *(before, rows, pitch, groups),
+        group=(group,),
+        defines=_defines(length, lines, group, sign, border),
+    )
 
 
 def _defines(length, lines, group, sign, border):

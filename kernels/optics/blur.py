@@ -118,11 +118,17 @@ def cases():
                     tables[..., i, 2 * j + 1] = 0
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
-        light = {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32)}
-        sampling = {"border": border, "period": period, "margin": margin}
+        inputs = {
+            "planes": planes.astype(np.float32),
+            "tables": tables.astype(np.float32),
+            "mix": random.random((channels, count)).astype(np.float32),
+            "border": border,
+            "period": period,
+            "margin": margin,
+        }
         yield Case(
             f"{rows}x{cols}, {count} planes, {channels} channels, {border}",
-            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
+            inputs,
             2.4e-6,
             why,
         )

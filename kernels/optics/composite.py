@@ -86,10 +86,14 @@ def cases():
         alphas[last] = (0.5 + alphas[last] * shares[last]) / shares[last]
         lights = 10.0 ** random.uniform(-3, 4, (len(layers), channels, rows, cols))
         bound = 2 * 4 * len(layers) * 2.0**-24 * lights.sum(axis=0).max()
-        light = {"lights": lights.astype(np.float32), "alphas": alphas.astype(np.float32)}
+        inputs = {
+            "lights": lights.astype(np.float32),
+            "alphas": alphas.astype(np.float32),
+            "layers": layers,
+        }
         yield Case(
             f"{rows}x{cols}, layers {layers}, {channels} channels, {'own' if own else 'shared'} coverage",
-            {**light, "layers": layers},
+            inputs,
             bound,
             "at most 4 roundings of half an ulp an entry, of products below the sum of the lights; the division "
             "by a coverage of at least 0.5 doubles them",

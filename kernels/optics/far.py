@@ -92,6 +92,7 @@ def far(
 
 
 def _pattern(device, cfa):
+    """Return a mosaic's period on the host; without a mosaic, that of a single channel."""
     return np.zeros((1, 1), np.int32) if cfa is None else np.asarray(device.numpy(cfa), np.int32)
 
 
@@ -175,9 +176,16 @@ class _Chain:
         arrays = [given, values, start, count, out]
         numbers = [int(onto is not None), int(turned)]
         sizes = [batch * blocks, lanes, size, rows, blocks, most, matrices, sums]
-        grid = (batch * blocks, -(-lanes // self.lanes))
-        options = {"defines": self.defines, "group": self.group}
-        self.device.launch("optics.far", "product", grid, *arrays, *numbers, *sizes, **options)
+        self.device.launch(
+            "optics.far",
+            "product",
+            (batch * blocks, -(-lanes // self.lanes)),
+            *arrays,
+            *numbers,
+            *sizes,
+            defines=self.defines,
+            group=self.group,
+        )
         return out
 
     def _matrices(self, axis, name, of=None):
@@ -248,15 +256,14 @@ class _Grids:
         out = onto if onto is not None else device.empty((batch, parts, down.rows, across.rows))
         groups = batch * parts * down.tiles * across.tiles
         mix = given if weights is None else constant(device, weights.tobytes(), weights.shape)
-        numbers = [int(onto is not None), int(weights is not None), max(across.span, WIDE), stride]
-        sizes = [parts, planes, *size, down.rows, across.rows, down.blocks, down.most, across.most]
         device.launch(
             GROUPS_STAGE,
             "both",
             (groups * WIDE * LINES,),
             *(given, mix, *down.arrays, *across.arrays, out),
-            *numbers,
-            *(*sizes, sums, down.tiles, across.tiles),
+            *(int(onto is not None), int(weights is not None), max(across.span, WIDE), stride),
+            *(parts, planes, *size, down.rows, across.rows),
+            *(down.blocks, down.most, across.most, sums, down.tiles, across.tiles),
             group=(WIDE * LINES,),
             defines={"HIGH": high, "LOCAL_BYTES": room},
         )
@@ -268,13 +275,20 @@ class _Grids:
         pattern = _pattern(device, cfa)
         out, tiles = device.empty(onto.shape), (-(-rows // (4 * LINES)), -(-cols // WIDE))
         groups = prod(onto.shape) // (rows * cols) * prod(tiles)
-        weights = *_at_samples(device, self.down, margin), *_at_samples(device, self.across, margin)
-        of = constant(device, pattern.tobytes(), pattern.shape, np.int32)
-        arrays = [onto, light, *weights, of, out]
-        defines = {"HIGH": HIGH, "LOCAL_BYTES": STEP}
-        sizes = [rows, cols, high, wide, *pattern.shape, *tiles]
-        group, grid = (WIDE * LINES,), (groups * WIDE * LINES,)
-        device.launch(GROUPS_STAGE, "evaluate", grid, *arrays, *sizes, group=group, defines=defines)
+        device.launch(
+            GROUPS_STAGE,
+            "evaluate",
+            (groups * WIDE * LINES,),
+            onto,
+            light,
+            *_at_samples(device, self.down, margin),
+            *_at_samples(device, self.across, margin),
+            constant(device, pattern.tobytes(), pattern.shape, np.int32),
+            out,
+            *(rows, cols, high, wide, *pattern.shape, *tiles),
+            group=(WIDE * LINES,),
+            defines={"HIGH": HIGH, "LOCAL_BYTES": STEP},
+        )
         return out
 
 
@@ -339,8 +353,12 @@ def _bands(device, axis, name, of, block):
     """
     made = getattr(axis, name)
     bands = (made if of is None else made(of)).in_blocks(block)
-    start, count = (device.array(numbers, np.int32) for numbers in (bands.start, bands.count))
-    return start, count, device.array(bands.values), bands.rows
+    return (
+        device.array(bands.start, np.int32),
+        device.array(bands.count, np.int32),
+        device.array(bands.values),
+        bands.rows,
+    )
 
 
 @functools.lru_cache(maxsize=32)

@@ -89,8 +89,10 @@ def field(
     if border == "zero":  # no light comes from outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
-    own, light = kernels.shape[1], (planes, coefficients)
-    padded = blur(device, *light, tables, own, index, edges, mix, border, limit, period)
+    padded = blur(
+        *(device, planes, coefficients, tables, kernels.shape[1]),
+        *(index, edges, mix, border, limit, period),
+    )
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
@@ -103,7 +105,10 @@ def field(
     device.launch("optics.field", "assemble", out.shape, *arrays, *numbers)
     if threshold is not None:
         kernels = np.asarray(device.numpy(kernels))
-        _add_highlights(device, out, *light, kernels, index, edges, mix, border, limit, margin)
+        _add_highlights(
+            *(device, out, planes, coefficients, kernels),
+            *(index, edges, mix, border, limit, margin),
+        )
     return out
 
 
@@ -133,11 +138,12 @@ def _on_device(device, planes, coefficients, tables, own, index, edges, mix, bor
                 sums = device.empty((channels * size, period[0], pitch, 2))
             arrays = [spectra, tables, on_device_index, device.array(mix[:, p]), sums]
             numbers = [int(p == 0), first, min(p, own - 1), *warp_only(device, terms, channels)]
-            grid, sizes = (size, period[0], half), [size, period[0], half, pitch, own]
+            sizes = [size, period[0], half, pitch, own]
+            grid = (size, period[0], half)
             launch("accumulate", grid, *arrays, *numbers, *sizes, defines=defines)
         blurred = fft.inverse(device, sums, period[1])
-        grid, sizes = (channels * size, *period), [first, channels, size, tiles, *period]
-        launch("keep", grid, blurred, padded, *sizes)
+        sizes = [first, channels, size, tiles, *period]
+        launch("keep", (channels * size, *period), blurred, padded, *sizes)
     return padded
 
 

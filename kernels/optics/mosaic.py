@@ -83,7 +83,7 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
     half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
     turns = [device.array(_turns(length, n)) for length, n in zip(period, cfa.shape, strict=True)]
-    of = [] if device.kind == "opencl" else [device.array(cfa, np.int32)]
+    channel_of = [] if device.kind == "opencl" else [device.array(cfa, np.int32)]
     channel_list = ",".join(map(str, cfa.ravel()))
     phases = {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]}
     launch = functools.partial(device.launch, "optics.mosaic")
@@ -92,12 +92,18 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
         size = min(BATCH, count - first)
         spectra = fft.forward_extended(device, planes, first, size, border, period)
         some = device.array(mix[:, first : first + size])
-        arrays = [spectra, tables, some, *turns, *of, folded]
+        arrays = [spectra, tables, some, *turns, *channel_of, folded]
         numbers = [int(first == 0), first, count, own_tables]
-        sizes = [*warp_only(device, size, channels, *cfa.shape), *small, half]
-        pitches = spectra.shape[2], pitch
-        defines = phases | {"SIZE": size, "CHANNELS": channels, "CFA": channel_list}
-        launch("fold", (small[0], half), *arrays, *numbers, *sizes, *pitches, defines=defines)
+        sizes = [*small, half, spectra.shape[2], pitch]
+        launch(
+            "fold",
+            (small[0], half),
+            *arrays,
+            *numbers,
+            *warp_only(device, size, channels, *cfa.shape),
+            *sizes,
+            defines=phases | {"SIZE": size, "CHANNELS": channels, "CFA": channel_list},
+        )
     pixels = fft.inverse(device, folded, small[1])
     sizes = [*start, *out.shape, *warp_only(device, *cfa.shape), *small]
     defines = phases | {"SIZE": 1, "CHANNELS": 1, "CFA": "0"}
@@ -224,12 +230,18 @@ def cases():
         tables = gaussian_tables(widths, period)
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
-        light = {"planes": planes.astype(np.float32), "tables": tables.astype(np.float32)}
-        sampling = {"cfa": np.array(cfa, np.int32), "border": border}
-        sampling |= {"period": period, "margin": margin}
+        inputs = {
+            "planes": planes.astype(np.float32),
+            "tables": tables.astype(np.float32),
+            "mix": random.random((channels, count)).astype(np.float32),
+            "cfa": np.array(cfa, np.int32),
+            "border": border,
+            "period": period,
+            "margin": margin,
+        }
         yield Case(
             f"{rows}x{cols}, {count} planes, mosaic of {np.shape(cfa)}, {border}",
-            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
+            inputs,
             2.4e-6,
             why,
         )

@@ -72,8 +72,12 @@ def cases():
     for groups, planes, period, count in sizes:
         shape = groups, planes, period[0] // 2 + 1, period[1] // 2 + 1
         tables = random.random(shape, np.float32)
-        inputs = {"tables": tables, "energies": random.random((groups, planes, count))}
-        inputs |= {"sigmas": np.append(5.8 * 1.6 ** np.arange(count - 1), np.inf), "period": period}
+        inputs = {
+            "tables": tables,
+            "energies": random.random((groups, planes, count)),
+            "sigmas": np.append(5.8 * 1.6 ** np.arange(count - 1), np.inf),
+            "period": period,
+        }
         name = f"{groups} groups of {planes}, period {period[1]}x{period[0]}, {count} Gaussians"
         yield Case(name, inputs, 3e-6, why)
 

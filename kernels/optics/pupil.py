@@ -79,8 +79,13 @@ def pupil(
     low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
     replicas = np.arange(low, high + 1)[:, None]
     weights = []
-    axes = (replicas + fy, replicas + fx), np.broadcast_to(aperture, 2), spots, displacement
-    for f, width, spot, move in zip(*axes, strict=True):
+    for f, width, spot, move in zip(
+        (replicas + fy, replicas + fx),
+        np.broadcast_to(aperture, 2),
+        spots,
+        displacement,
+        strict=True,
+    ):
         spread = np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
         one = np.sinc(width * f) * np.cos(np.pi * spot * f) * spread
         weights.append(one.real if real else np.stack([one.real, one.imag], axis=-1))
@@ -138,10 +143,18 @@ def cases():
         ("defocus, displaced", disc, defocus, (0.6, 1.1), (0.4, 0.8), 9, 10, (0, 0), 0.2, 0.1, 1.0),
         ("six blades, displaced", six, defocus[:1], (0.9,), 0.8, 7, 10, (0, 1.0), 0, -3.0, 0.3),
     ):
-        lens = {"outline": outline, "waves": waves, "q": np.array(q, np.float32)}
-        table = {"aperture": aperture, "rows": rows, "cols": cols, "spots": spots}
-        more = {"diffuser": diffuser, "displacement": tuple(displacement) or (0, 0)}
-        yield Case(name, {**lens, **table, **more}, 3e-5, why)
+        inputs = {
+            "outline": outline,
+            "waves": waves,
+            "q": np.array(q, np.float32),
+            "aperture": aperture,
+            "rows": rows,
+            "cols": cols,
+            "spots": spots,
+            "diffuser": diffuser,
+            "displacement": tuple(displacement) or (0, 0),
+        }
+        yield Case(name, inputs, 3e-5, why)
 
 
 def bench(rows, cols):

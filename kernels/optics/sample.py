@@ -68,8 +68,13 @@ def cases():
         "every weight, product and partial sum of taps_y + taps_x terms rounds by half an ulp, 6e-8, of magnitudes "
         "that add up to 1.5 per axis of samples up to 1; the largest pixel is at least 1.25 x 0.375 - 0.25 x 1.125"
     )
-    sizes = (1, 1, 1, 1.0, 1), (3, 5, 7, 3.0, 3), (2, 21, 40, 1.25, 7), (4, 20, 65, np.pi, 9)
-    for count, rows, cols, ratio, taps in (*sizes, (1, 33, 130, 2.0, 2)):
+    for count, rows, cols, ratio, taps in (
+        (1, 1, 1, 1.0, 1),
+        (3, 5, 7, 3.0, 3),
+        (2, 21, 40, 1.25, 7),
+        (4, 20, 65, np.pi, 9),
+        (1, 33, 130, 2.0, 2),
+    ):
         fine = [int(np.ceil(n * ratio)) + taps for n in (rows, cols)]
         starts = [np.floor(ratio * np.arange(n)).astype(np.int32) for n in (rows, cols)]
         weights = [random.uniform(0.5, 1, (n, taps)) for n in (rows, cols)]
@@ -80,9 +85,13 @@ def cases():
             if ratio % 1:
                 one *= 1.25
                 one[:, -1] = -0.25
-        inputs = {"planes": random.uniform(0.5, 1, (count, *fine)).astype(np.float32)}
-        inputs |= {"start_y": starts[0], "weights_y": weights[0].astype(np.float32)}
-        inputs |= {"start_x": starts[1], "weights_x": weights[1].astype(np.float32)}
+        inputs = {
+            "planes": random.uniform(0.5, 1, (count, *fine)).astype(np.float32),
+            "start_y": starts[0],
+            "weights_y": weights[0].astype(np.float32),
+            "start_x": starts[1],
+            "weights_x": weights[1].astype(np.float32),
+        }
         name = f"{rows}x{cols} from {fine[0]}x{fine[1]}, {count} planes, {taps} taps"
         yield Case(name, inputs, (2 * taps + 2) * 6e-8 * 1.5**2 / 0.1875, why)
 
@@ -90,8 +99,10 @@ def cases():
 def bench(rows, cols):
     """Return inputs: three channels of a frame from three samples a pixel at full fill."""
     random = np.random.default_rng(12)
-    inputs = {"planes": random.random((3, 3 * rows, 3 * cols), np.float32)}
-    for axis, n in (("y", rows), ("x", cols)):
-        inputs[f"start_{axis}"] = 3 * np.arange(n, dtype=np.int32)
-        inputs[f"weights_{axis}"] = np.full((n, 3), 1 / 3, np.float32)
-    return inputs
+    return {
+        "planes": random.random((3, 3 * rows, 3 * cols), np.float32),
+        "start_y": 3 * np.arange(rows, dtype=np.int32),
+        "weights_y": np.full((rows, 3), 1 / 3, np.float32),
+        "start_x": 3 * np.arange(cols, dtype=np.int32),
+        "weights_x": np.full((cols, 3), 1 / 3, np.float32),
+    }

@@ -83,16 +83,19 @@ def cases():
         places = [random.integers(-3, n + 3, 10) for n in (rows, cols)]
         places = np.stack([*places, random.integers(0, 2, 10), np.full(10, reach)], axis=1)
         places[0, :2] = 0
-        lights = {
+        inputs = {
             "mosaic": np.full((rows, cols), 1e-3, np.float32),
             "cfa": RGGB,
             "places": places.astype(np.int32),
             "strength": (10.0 ** random.uniform(0, 9, 10)).astype(np.float32),
+            "cores": cores,
+            "profiles": profiles,
+            "step": 0.05,
+            "parts": parts,
+            "spread": 1 / parts,
         }
-        spread = {"cores": cores, "profiles": profiles, "step": 0.05}
-        spread |= {"parts": parts, "spread": 1 / parts}
         name = f"{rows}x{cols}, {parts} parts, reach {reach}"
-        yield Case(name, lights | spread, 1e-5, why, metric="local")
+        yield Case(name, inputs, 1e-5, why, metric="local")
 
 
 def bench(rows, cols):

@@ -103,8 +103,10 @@ def tiles(
     else:
         fits = _room(side, pattern.shape, len(outputs)) <= device.local_bytes
         make = _by_groups if fits else _by_batches
-    arrays = planes, tables, mix, outputs
-    make(device, *arrays, pattern.shape, border, side, overlap, margin, count, out)
+    make(
+        *(device, planes, tables, mix, outputs, pattern.shape),
+        *(border, side, overlap, margin, count, out),
+    )
     return device.reshape(out, shape) if cfa is not None else out
 
 
@@ -214,7 +216,8 @@ def _by_groups(
         "TURNS_Y": fft.roots_text(period[0]),
         "TURNS_X": fft.roots_text(period[1]),
     }
-    weights, roots = fft.constant(device, mix.tobytes(), mix.shape), fft.roots(device, side)
+    weights = fft.constant(device, mix.tobytes(), mix.shape)
+    roots = fft.roots(device, side)
     arrays = [planes, tables, weights, roots, out]
     sizes = [margin, 0, number, rows, cols, *out.shape[1:], count[1]]
     grid = (count[0] * count[1] * group,)
@@ -314,13 +317,20 @@ def cases():
         if own:
             planes[0, rows // 2, cols // 2] = 1e6
         tables = gaussian_tables(widths, (side, side)).astype(np.float32)
-        light = {"planes": planes.astype(np.float32), "tables": tables}
-        sampling = {"cfa": None if cfa is None else np.array(cfa, np.int32), "border": border}
-        sampling |= {"side": side, "overlap": overlap, "margin": margin}
+        inputs = {
+            "planes": planes.astype(np.float32),
+            "tables": tables,
+            "mix": random.random((channels, count)).astype(np.float32),
+            "cfa": None if cfa is None else np.array(cfa, np.int32),
+            "border": border,
+            "side": side,
+            "overlap": overlap,
+            "margin": margin,
+        }
         yield Case(
             f"{rows}x{cols}, {count} planes, {'channels' if cfa is None else f'mosaic of {np.shape(cfa)}'}, "
             f"{border}, tiles of {side} - 2 x {overlap}",
-            {**light, "mix": random.random((channels, count)).astype(np.float32), **sampling},
+            inputs,
             2.4e-6,
             why,
         )
@@ -351,5 +361,5 @@ def operations(planes, tables, mix, cfa, border, side, overlap):
     """
     number = Tiling(side, overlap).samples(planes.shape[1:]) // side**2
     back = fft.operations([side // n for n in np.shape(cfa)]) * np.size(cfa)
-    there = len(planes) * fft.operations((side, side))
-    return number * (there + 4 * side * (side // 2 + 1) * np.size(mix) + back)
+    forward = len(planes) * fft.operations((side, side))
+    return number * (forward + 4 * side * (side // 2 + 1) * np.size(mix) + back)

@@ -4,7 +4,7 @@ Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, (DN - black_
 camera red, green and blue, 1 at the white level if scale = 1 / (white_level - black_level).
 """
 
-from typing import Any
+import functools
 
 import numpy as np
 
@@ -80,15 +80,18 @@ def adaptive(
     out = device.empty((3, rows, cols))
     grid = (rows, -(-pairs // run))
     red, blue = map(float, np.sqrt(factors) if root else factors)
-    phases = red_row, red_col, run, rows, cols, *warp_only(device, int(root))
-    mosaic = float(black_level), float(limit), red, blue, *phases
-    options: dict[str, Any] = {
-        "defines": {"ROOT": int(root)},
-        "group": None if device.is_gpu else (1, 1),
-    }
-    device.launch("processor.adaptive", "green", grid, raw, difference, *mosaic, **options)
-    given = raw, difference, out, float(scale)
-    device.launch("processor.adaptive", "colors", grid, *given, *mosaic, **options)
+    mosaic = (
+        *(float(black_level), float(limit), red, blue),
+        *(red_row, red_col, run, rows, cols, *warp_only(device, int(root))),
+    )
+    launch = functools.partial(
+        device.launch,
+        "processor.adaptive",
+        defines={"ROOT": int(root)},
+        group=None if device.is_gpu else (1, 1),
+    )
+    launch("green", grid, raw, difference, *mosaic)
+    launch("colors", grid, raw, difference, out, float(scale), *mosaic)
     return out
 
 
@@ -124,12 +127,23 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **more):
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.adaptive_ref import adaptive as reference
 
-    levels = {"black_level": black_level, "scale": scale}
+    inputs = {
+        "raw": raw,
+        "phase": phase,
+        "black_level": black_level,
+        "scale": scale,
+        "domain": domain,
+        **more,
+    }
     return conditioned_case(
         name,
-        {"raw": raw, "phase": phase, **levels, "domain": domain, **more},
-        *(reference, CODES[domain], 16, 4, WORST_CONDITION),
-        "the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
+        inputs,
+        reference,
+        CODES[domain],
+        roundings=16,
+        trials=4,
+        worst_condition=WORST_CONDITION,
+        why="the longest chain (root, bend, square, weight, quotient, difference, two blends) has about 16 "
         "roundings; each acts like a change of the encoded samples by 2^-24 of the largest, whose effect the "
         "reference shows; 2 because four random changes need not hit the worst one",
     )

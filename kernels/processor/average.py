@@ -163,11 +163,16 @@ def cases():
         tiles = (max(1, -(-(n // p) // TILE)) for n, p in zip((rows, cols), period, strict=True))
         displacement = random.normal(0, 0.2, (count, *tiles, 2)).astype(np.float32)
         displacement[-1] = np.rint(5 * displacement[-1])
-        frames = {"raw": np.rint(raw).astype(np.uint16), "displacement": displacement}
-        options = {"period": period, "reference": count // 2}
-        options |= {"black_level": 100.0, "noise": (0.15, 5.0)}
+        inputs = {
+            "raw": np.rint(raw).astype(np.uint16),
+            "displacement": displacement,
+            "period": period,
+            "reference": count // 2,
+            "black_level": 100.0,
+            "noise": (0.15, 5.0),
+        }
         name = f"{count} frames {rows}x{cols}, period {period}"
-        yield Case(name, frames | options, 3e-4, why)
+        yield Case(name, inputs, 3e-4, why)
     yield exact_case(
         "full",
         "equal whole numbers, their sum and its quarter are exact",
@@ -183,6 +188,9 @@ def bench(rows, cols):
     random = np.random.default_rng(9)
     raw = 300 + 200 * random.random((rows, cols)) + random.normal(0, 8, (8, rows, cols))
     tiles = (max(1, -(-(n // 2) // TILE)) for n in (rows, cols))
-    displacement = random.normal(0, 3, (8, *tiles, 2)).astype(np.float32)
-    frames = {"raw": np.rint(raw).astype(np.uint16), "displacement": displacement}
-    return {**frames, "black_level": 64.0, "noise": (0.16, 100.0)}
+    return {
+        "raw": np.rint(raw).astype(np.uint16),
+        "displacement": random.normal(0, 3, (8, *tiles, 2)).astype(np.float32),
+        "black_level": 64.0,
+        "noise": (0.16, 100.0),
+    }

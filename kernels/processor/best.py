@@ -153,20 +153,57 @@ def best(
 
 # Warp's kernels: pixels of the margin that they leave out, columns of an item, planes
 PASSES = (
-    ("encode_all", 0, 1, "raw code"),
-    ("differences", 4, 1, "code across down"),
-    ("greens", 8, 2, "code across down green"),
-    ("slopes", 10, 2, "code green square product"),
-    ("diagonals", 12, 2, "code green square product other"),
-    ("colors", 14, 2, "raw code green square product other out"),
+    ("encode_all", 0, 1, ("raw", "code")),
+    ("differences", 4, 1, ("code", "across", "down")),
+    ("greens", 8, 2, ("code", "across", "down", "green")),
+    ("slopes", 10, 2, ("code", "green", "square", "product")),
+    ("diagonals", 12, 2, ("code", "green", "square", "product", "other")),
+    ("colors", 14, 2, ("raw", "code", "green", "square", "product", "other", "out")),
 )
-NUMBERS = {  # of each kernel
-    "encode_all": "black_level scale offset red blue red_row red_col rows cols root",
-    "differences": "variance shot red blue prior red_row red_col",
-    "greens": "loss offset variance shot longest shortest red_row red_col root noisy",
-    "slopes": "red_row red_col",
-    "diagonals": "variance shot red blue prior red_row red_col",
-    "colors": "loss black_level scale offset variance shot red blue prior red_row red_col cols root noisy",
+NUMBERS = {  # of each kernel, in its order
+    "encode_all": (
+        "black_level",
+        "scale",
+        "offset",
+        "red",
+        "blue",
+        "red_row",
+        "red_col",
+        "rows",
+        "cols",
+        "root",
+    ),
+    "differences": ("variance", "shot", "red", "blue", "prior", "red_row", "red_col"),
+    "greens": (
+        "loss",
+        "offset",
+        "variance",
+        "shot",
+        "longest",
+        "shortest",
+        "red_row",
+        "red_col",
+        "root",
+        "noisy",
+    ),
+    "slopes": ("red_row", "red_col"),
+    "diagonals": ("variance", "shot", "red", "blue", "prior", "red_row", "red_col"),
+    "colors": (
+        "loss",
+        "black_level",
+        "scale",
+        "offset",
+        "variance",
+        "shot",
+        "red",
+        "blue",
+        "prior",
+        "red_row",
+        "red_col",
+        "cols",
+        "root",
+        "noisy",
+    ),
 }
 
 
@@ -177,11 +214,16 @@ def _by_pixels(device, raw, out, numbers):
         name: device.empty((rows * width,))
         for name in ("code", "across", "down", "green", "square", "product", "other")
     }
-    for kernel, low, sites, arrays in PASSES:
-        grid = (rows - 2 * low, (width - 2 * low) // sites)
-        given = [*(planes[name] for name in arrays.split()), low, width]
-        given += [numbers[name] for name in NUMBERS[kernel].split()]
-        device.launch("processor.best", kernel, grid, *given)
+    for kernel, low, sites, names in PASSES:
+        device.launch(
+            "processor.best",
+            kernel,
+            (rows - 2 * low, (width - 2 * low) // sites),
+            *(planes[name] for name in names),
+            low,
+            width,
+            *(numbers[name] for name in NUMBERS[kernel]),
+        )
 
 
 def _tiles(rows, pairs):
@@ -245,15 +287,17 @@ def cases():
             yield _case(f"{domain} {phase} noise", raw, phase, domain, noise=noise)
         ramp = np.add.outer(40 * np.arange(48), 11 * np.arange(50)).astype(np.uint16)
         yield _case(f"{domain} ramp", ramp, "GRBG", domain, blur=0.7)
-        noises = ("noisy ramp", "GBRG", noise), ("only read noise", "BGGR", (0.0, 3.0))
-        for name, phase, own in noises:
-            raw = random.poisson(ramp).astype(np.uint16)
-            yield _case(f"{domain} {name}", raw, phase, domain, noise=own)
-        balances = ("GRBG", (1.7, 2.9), (0.0, 0.0)), ("BGGR", (0.6, 1.0), noise)
-        for phase, balance, own in balances:
-            raw = np.random.default_rng(7).poisson(ramp).astype(np.uint16)
-            more = {"noise": own, "balance": balance}
-            yield _case(f"{domain} balanced {balance}", raw, phase, domain, **more)
+        raw = random.poisson(ramp).astype(np.uint16)
+        yield _case(f"{domain} noisy ramp", raw, "GBRG", domain, noise=noise)
+        raw = random.poisson(ramp).astype(np.uint16)
+        yield _case(f"{domain} only read noise", raw, "BGGR", domain, noise=(0.0, 3.0))
+        raw = np.random.default_rng(7).poisson(ramp).astype(np.uint16)
+        balance = (1.7, 2.9)
+        name = f"{domain} balanced {balance}"
+        yield _case(name, raw, "GRBG", domain, noise=(0.0, 0.0), balance=balance)
+        balance = (0.6, 1.0)
+        name = f"{domain} balanced {balance}"
+        yield _case(name, raw, "BGGR", domain, noise=noise, balance=balance)
         edge = np.where(ramp > 1100, np.uint16(65535), np.uint16(0))
         yield _case(f"{domain} black and saturated", edge, "BGGR", domain)
         yield Case(
@@ -269,12 +313,23 @@ def _case(name, raw, phase, domain, black_level=64.0, scale=1 / 2048, **knowledg
     from gpusim.kernels.processor.adaptive_ref import CODES
     from gpusim.kernels.processor.best_ref import best as reference
 
-    levels = {"black_level": black_level, "scale": scale}
+    inputs = {
+        "raw": raw,
+        "phase": phase,
+        "black_level": black_level,
+        "scale": scale,
+        "domain": domain,
+        **knowledge,
+    }
     return conditioned_case(
         name,
-        {"raw": raw, "phase": phase, **levels, "domain": domain, **knowledge},
-        *(reference, CODES[domain], 48, 3, WORST_CONDITION),
-        "the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
+        inputs,
+        reference,
+        CODES[domain],
+        roundings=48,
+        trials=3,
+        worst_condition=WORST_CONDITION,
+        why="the longest chain (code 3, bends and gain 10, difference 3, weights 9, taps and their blend 8, slopes "
         "and gain 10, two blends, decoding) has about 48 roundings; each acts like a change of the encoded "
         "samples by 2^-24 of the largest, whose effect the reference shows; 2 because three random changes "
         "need not hit the worst one",

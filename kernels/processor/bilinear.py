@@ -79,8 +79,10 @@ def cases():
             inputs = {"raw": raw, "phase": phase, "black_level": 64.0, "scale": 1 / 1024}
             tolerance = 2.0**-23 * (1 + 2.0**-24)
             yield Case(f"{phase} {rows}x{cols}", inputs, tolerance, why, metric="local")
-    black = {"raw": np.full((6, 6), 64, np.uint16), "phase": "RGGB"}
-    yield exact_case("black", "64 - 64 is exact", **black, black_level=64.0, scale=2.0)
+    raw = np.full((6, 6), 64, np.uint16)
+    yield exact_case(
+        "black", "64 - 64 is exact", raw=raw, phase="RGGB", black_level=64.0, scale=2.0
+    )
     yield SATURATED
 
 

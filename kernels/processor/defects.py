@@ -141,8 +141,14 @@ def _tables(device, cfa, shape):
     entries = np.array([entry for _, _, entries in phases for entry in entries], np.int32)
     columns = np.arange(shape[1])
     masks = np.where(np.arange(shape[1] + LANES) % shape[1] == columns[:, None], 65535, 0)
-    lists = [device.array(numbers, np.int32) for numbers in (near, starts, entries)]
-    return lists[0], count, *lists[1:], device.array(masks, np.uint16), int(abs(near).max())
+    return (
+        device.array(near, np.int32),
+        count,
+        device.array(starts, np.int32),
+        device.array(entries, np.int32),
+        device.array(masks, np.uint16),
+        int(abs(near).max()),
+    )
 
 
 def _neighbours(cfa, y, x):

@@ -124,16 +124,26 @@ def denoise(
         MOST_TWIN * float(cfa.shape == (2, 2) and cfa[0, x] == cfa[1, 1 - x])
         for x in (0, cfa.shape[1] - 1)
     ]
-    group, defines = (1, 1) if lines else None, {"CHUNK": chunk, "SPARE": spare, "BAND": BAND}
-    launch = functools.partial(device.launch, "processor.denoise", group=group, defines=defines)
+    launch = functools.partial(
+        device.launch,
+        "processor.denoise",
+        group=(1, 1) if lines else None,
+        defines={"CHUNK": chunk, "SPARE": spare, "BAND": BAND},
+    )
     lowest = float(-constant / gain if gain else -3e38)
     numbers = [float(black_level), float(gain), float(constant), lowest]
     sizes = [*cfa.shape, margin_y, margin_x, rows, cols]
     grid = (code.shape[0], 1) if lines else code.shape
     launch("stabilise", grid, device.array(raw, np.uint16), code, *numbers, *sizes, *code.shape)
-    numbers = [float(1 + 2 / SOFT), float(1 / (9 * SOFT * strength**2))]
-    numbers += [float(gain / 4), float(np.sqrt(constant))]
-    numbers += [float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)), float(CORRECTED_BLACK), *twins]
+    numbers = [
+        float(1 + 2 / SOFT),
+        float(1 / (9 * SOFT * strength**2)),
+        float(gain / 4),
+        float(np.sqrt(constant)),
+        float(scale * (CORRECTED_WHITE - CORRECTED_BLACK)),
+        float(CORRECTED_BLACK),
+        *twins,
+    ]
     launch("denoise", (bands, chunks), code, out, *numbers, *sizes, code.shape[1])
     return out
 
@@ -171,5 +181,10 @@ def bench(rows, cols):
     """Return inputs: a 10-bit Bayer mosaic of 100 e- and 5 e- of read noise at 0.2 DN/e-."""
     random = np.random.default_rng(11)
     raw = 64 + 0.2 * random.poisson(100, (rows, cols)) + random.standard_normal((rows, cols))
-    levels = {"black_level": 64.0, "scale": 1 / 959}
-    return {"raw": raw.astype(np.uint16), "cfa": RGGB, **levels, "noise": (0.2, 1.0)}
+    return {
+        "raw": raw.astype(np.uint16),
+        "cfa": RGGB,
+        "black_level": 64.0,
+        "scale": 1 / 959,
+        "noise": (0.2, 1.0),
+    }

@@ -7,8 +7,6 @@ For previews and videos: the planes between the stages, 3 x 4 bytes per pixel wr
 twice, stay in registers.
 """
 
-from typing import Any
-
 import numpy as np
 
 from gpusim.backends import Device
@@ -72,11 +70,16 @@ def develop(
     numbers = [*map(float, converter or (1, 0, 1)), float(black_level), float(scale)]
     sizes = [red_row, red_col, *table.numbers, run, rows, cols]
     grid = (-(-rows // shape["ROWS"]), -(-cols // run))
-    options: dict[str, Any] = {
-        "defines": shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)},
-        "group": None if device.is_gpu else (1, 1),
-    }
-    device.launch("processor.develop", "develop", grid, *arrays, *numbers, *sizes, **options)
+    device.launch(
+        "processor.develop",
+        "develop",
+        grid,
+        *arrays,
+        *numbers,
+        *sizes,
+        defines=shape | codes_defines(device, cols) | {"ELECTRONS": int(converter is not None)},
+        group=None if device.is_gpu else (1, 1),
+    )
     return out
 
 
@@ -157,6 +160,12 @@ def bench(rows, cols):
     """Return inputs: a 10-bit mosaic, sRGB."""
     raw = np.random.default_rng(2).integers(64, 1024, (rows, cols), np.uint16)
     matrix = np.float32([[1.9, -0.6, -0.3], [-0.3, 1.6, -0.3], [0.0, -0.5, 1.5]])
-    display = {"matrix": matrix, "thresholds": thresholds(DISPLAYS["srgb"].decode)}
-    levels = {"phase": "RGGB", "black_level": 64.0, "scale": 1 / 959}
-    return {"raw": raw, **display, **levels, "ceiling": np.ones(3, np.float32)}
+    return {
+        "raw": raw,
+        "matrix": matrix,
+        "thresholds": thresholds(DISPLAYS["srgb"].decode),
+        "phase": "RGGB",
+        "black_level": 64.0,
+        "scale": 1 / 959,
+        "ceiling": np.ones(3, np.float32),
+    }

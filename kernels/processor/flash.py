@@ -148,9 +148,13 @@ def _pair(rows, cols):
     variance = noise[:, :3].sum(1).reshape(3, 1, 1) * own + 2e-4
     ambient = own + random.normal(0, 1, own.shape) * np.sqrt(variance)
     by_flash = lit + random.normal(0, 0.02, lit.shape)
-    pictures = {"ambient": ambient.astype(np.float32), "flash": by_flash.astype(np.float32)}
-    noises = {"ambient_noise": noise.tolist(), "flash_noise": (noise / 10).tolist()}
-    return {**pictures, **noises, "full": 1.15}
+    return {
+        "ambient": ambient.astype(np.float32),
+        "flash": by_flash.astype(np.float32),
+        "ambient_noise": noise.tolist(),
+        "flash_noise": (noise / 10).tolist(),
+        "full": 1.15,
+    }
 
 
 def cases():
@@ -164,8 +168,8 @@ def cases():
         yield Case(f"{rows}x{cols}, radius {radius}", inputs, 1e-3, why)
     dark = _pair(9, 9) | {"ambient": np.zeros((3, 9, 9), np.float32)}
     yield exact_case("dark", "sums of zeros", **dark)
-    same = _pair(20, 31)
-    same |= {"flash": same["ambient"], "flash_noise": same["ambient_noise"]}
+    pair = _pair(20, 31)
+    same = {**pair, "flash": pair["ambient"], "flash_noise": pair["ambient_noise"]}
     yield Case("no better", same, 1e-3, why)
 
 

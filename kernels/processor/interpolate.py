@@ -19,7 +19,6 @@ interpolates each sample of the period bilinearly in its own lattice and takes t
 """
 
 import functools
-from typing import Any
 
 import numpy as np
 
@@ -84,13 +83,15 @@ def interpolate(
     arrays = [device.array(raw, np.uint16), starts, offsets, weights, out]
     numbers = [float(black_level), float(scale)]
     sizes = [*reach, *cfa.shape, weights.shape[1], rows, cols, *warp_only(device, channels)]
-    grid = (rows, 1) if blocks else (rows, cols)
-    options: dict[str, Any] = {
-        "defines": {"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
-        "group": (1, 1) if blocks else None,
-    }
     device.launch(
-        "processor.interpolate", "interpolate", grid, *arrays, *numbers, *sizes, **options
+        "processor.interpolate",
+        "interpolate",
+        (rows, 1) if blocks else (rows, cols),
+        *arrays,
+        *numbers,
+        *sizes,
+        defines={"CHANNELS": channels, "BLOCK": BLOCK if blocks else 1},
+        group=(1, 1) if blocks else None,
     )
     return out
 

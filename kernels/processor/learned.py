@@ -132,13 +132,25 @@ def _tiles(device, prepared, layout, raw, out, measures, from_black, decoding, s
     )
     strip = (items - 2 * layout.box) // 8 * 8
     across, down = -(-cols // strip), -(-rows // high)
-    defines = {"ITEMS": items, "STRIP": strip, "ROWS": high, "RUN": run}
-    defines |= {"PERIOD_Y": period_y, "PERIOD_X": period_x}
-    arrays = [raw, prepared.limits, prepared.knots, prepared.weights, prepared.planes]
-    arrays += [prepared.factors, prepared.loss, out]
-    numbers = [*measures, *from_black[:2], *decoding[1:], *shift, rows, cols, across]
-    options = {"defines": prepared.defines | defines, "group": (items,)}
-    device.launch(TILES, "learned_tiles", (across * down * items,), *arrays, *numbers, **options)
+    defines = {
+        "ITEMS": items,
+        "STRIP": strip,
+        "ROWS": high,
+        "RUN": run,
+        "PERIOD_Y": period_y,
+        "PERIOD_X": period_x,
+    }
+    device.launch(
+        TILES,
+        "learned_tiles",
+        (across * down * items,),
+        *(raw, prepared.limits, prepared.knots, prepared.weights, prepared.planes),
+        *(prepared.factors, prepared.loss, out),
+        *(*measures, *from_black[:2], *decoding[1:], *shift),
+        *(rows, cols, across),
+        defines=prepared.defines | defines,
+        group=(items,),
+    )
 
 
 def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, shift):
@@ -149,24 +161,37 @@ def _passes(device, prepared, layout, raw, out, measures, from_black, decoding, 
     codes = device.empty((rows + 2 * reach, stride))
     units = device.empty((rows, cols), np.uint16)
     levels = device.empty((rows, cols) if len(layout.levels) > 1 else (1, 1))
-    defines, group = prepared.defines | {"STRIP": 128, "ROWS": 16}, (1, 1) if opencl else None
-    launch = functools.partial(device.launch, "processor.learned", defines=defines, group=group)
-    numbers = [*from_black[:2], *shift, *layout.period, rows, cols, stride]
-    numbers += warp_only(device, reach, root)
-    grid = (codes.shape[0], 1) if opencl else codes.shape
-    launch("encode", grid, raw, prepared.factors, codes, *numbers)
+    launch = functools.partial(
+        device.launch,
+        "processor.learned",
+        defines=prepared.defines | {"STRIP": 128, "ROWS": 16},
+        group=(1, 1) if opencl else None,
+    )
+    launch(
+        "encode",
+        (codes.shape[0], 1) if opencl else codes.shape,
+        *(raw, prepared.factors, codes),
+        *(*from_black[:2], *shift, *layout.period, rows, cols, stride),
+        *warp_only(device, reach, root),
+    )
     along, high = (128, 16) if opencl else (64, 1)
-    arrays = [codes, prepared.limits, prepared.knots, units, levels]
-    numbers = [*measures, *shift, *layout.period, rows, cols, stride]
-    numbers += warp_only(device, prepared.filters, reach, layout.box, root)
-    bounds, ratios, shares = layout.strengths.shape[1], len(layout.ratios), len(layout.shares)
-    numbers += warp_only(device, bounds, ratios, shares, along)
-    launch("classify", (-(-rows // high), -(-cols // along)), *arrays, *numbers)
-    arrays = [raw, codes, units, levels, prepared.weights, prepared.planes, prepared.loss, out]
-    numbers = [*decoding, rows, cols, stride, *warp_only(device, prepared.taps, reach, root)]
-    unbiased = prepared.defines["UNBIASED"]
-    numbers += warp_only(device, unbiased, layout.classes, layout.shape[-1])
-    launch("apply", (rows, 1 if opencl else cols), *arrays, *numbers)
+    launch(
+        "classify",
+        (-(-rows // high), -(-cols // along)),
+        *(codes, prepared.limits, prepared.knots, units, levels),
+        *(*measures, *shift, *layout.period, rows, cols, stride),
+        *warp_only(device, prepared.filters, reach, layout.box, root),
+        *warp_only(device, layout.strengths.shape[1], len(layout.ratios), len(layout.shares)),
+        *warp_only(device, along),
+    )
+    launch(
+        "apply",
+        (rows, 1 if opencl else cols),
+        *(raw, codes, units, levels, prepared.weights, prepared.planes, prepared.loss, out),
+        *(*decoding, rows, cols, stride),
+        *warp_only(device, prepared.taps, reach, root),
+        *warp_only(device, prepared.defines["UNBIASED"], layout.classes, layout.shape[-1]),
+    )
 
 
 class _Prepared:
@@ -325,12 +350,12 @@ def cases():
                 name = f"{domain} {noise} {phase} {size[0]}x{size[1]}"
                 yield _case(name, raw, bayer_table(), phase=phase, **options)
             if size[0] > 2 and domain == "root":
-                name, options["balance"] = f"balanced {noise} {size[0]}x{size[1]}", (1.9, 3.7)
+                name = f"balanced {noise} {size[0]}x{size[1]}"
+                options["balance"] = (1.9, 3.7)
                 yield _case(name, raw, bayer_table(), phase=phase, **options)
     noisy = {"domain": "root", "noise": (9.0, 14.0)}
     plain = _random_table(("RG", "GB"), "RGB", (0.2, 0.9), (1, 0, -2, 0, 1), 1, False)
-    options = {"phase": "GBRG", **noisy, "balance": (0.6, 2.5)}
-    yield _case("no constant, levels", raw, plain, **options)
+    yield _case("no constant, levels", raw, plain, phase="GBRG", **noisy, balance=(0.6, 2.5))
     yield _case("RGBW", raw, rgbw, phase=("WB", "RG"), **noisy)
     yield _case("X-Trans", raw, fuji, phase=X_TRANS, domain="linear", noise=(0.0, 0.0))
 
@@ -340,10 +365,10 @@ def _random_table(mosaic, outputs, levels, contrast, box, constant=True):
     random = np.random.default_rng(9)
     dy, dx = np.mgrid[-3:4, -3:4]
     taps = np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= 3]
-    contrasts = contrast, contrast
-    shape = (box, (12, 24), [0.0], [0.01], [[0.05, 0.2]], levels)
-    groups = np.arange(len(taps))
-    layout = Layout(mosaic, tuple(outputs), "root", taps, groups, contrasts, *shape)
+    layout = Layout(
+        *(mosaic, tuple(outputs), "root", taps, np.arange(len(taps)), (contrast, contrast)),
+        *(box, (12, 24), [0.0], [0.01], [[0.05, 0.2]], levels),
+    )
     filters = random.normal(0.04, 0.1, layout.shape)
     offsets = random.normal(0, 0.1, layout.shape[:-1]) if constant else None
     return FilterTable(layout, filters, offsets)

@@ -58,11 +58,14 @@ def malvar(
     pairs = cols // 2 + 1  # enough for either column phase
     run = 1 if device.is_gpu else pairs  # a GPU wants many small items, LLVM a loop to vectorise
     fours = device.kind == "opencl" and device.is_gpu and cols % 4 == 0
-    options = {"defines": {"GPU": 1}} if device.is_gpu else {"group": (1, 1)}
     arrays = [device.array(raw, np.uint16), out]
     numbers = [float(black_level), float(scale), red, blue, red_row, red_col, run, rows, cols]
     grid = (rows, cols // 4 if fours else -(-pairs // run))
-    device.launch("processor.malvar", "malvar", grid, *arrays, *numbers, **options)
+    defines = {"GPU": 1} if device.is_gpu else None
+    group = None if device.is_gpu else (1, 1)
+    device.launch(
+        "processor.malvar", "malvar", grid, *arrays, *numbers, defines=defines, group=group
+    )
     return out
 
 

@@ -39,8 +39,8 @@ def quantise(device: Device, raw: Array, *, black_level: float, scale: float) ->
     rows, cols = raw.shape
     numbers = device.empty((rows, cols), np.uint16)
     arrays = [device.array(raw), numbers]
-    parameters = [float(black_level), float(scale), LIGHT]
-    parameters += [float(CORRECTED_BLACK), float(CORRECTED_WHITE)]
+    levels = [float(CORRECTED_BLACK), float(CORRECTED_WHITE)]
+    parameters = [float(black_level), float(scale), LIGHT, *levels]
     sizes = [*warp_only(device, cols), rows * cols]
     device.launch("processor.quantise", "quantise", (rows * cols,), *arrays, *parameters, *sizes)
     return numbers
@@ -67,8 +67,8 @@ def cases():
     for rows, cols, black, white in sizes:
         raw = random.normal(black + 0.4 * (white - black), white - black, (rows, cols))
         name = f"{rows}x{cols}, black {black:g}, white {white:g}"
-        levels = {"black_level": black, "scale": 1 / (white - black)}
-        yield exact_case(name, why, raw=raw.astype(np.float32), **levels)
+        raw = raw.astype(np.float32)
+        yield exact_case(name, why, raw=raw, black_level=black, scale=1 / (white - black))
     hard = [np.nan, np.inf, -np.inf, 0.0, -0.0, 1e-45, -1e-45, 3.4e38, -3.4e38, 64.0, 1023.0]
     hard = np.array([hard], np.float32)
     yield exact_case("hard values", why, raw=hard, black_level=64.0, scale=1 / 959)

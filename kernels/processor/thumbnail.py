@@ -86,8 +86,14 @@ def cases():
     clipped blocks.
     """
     random = np.random.default_rng(7)
-    sizes = (3, 1, 1, 48, 64), (3, 5, 3, 48, 64), (1, 50, 130, 48, 64), (3, 97, 515, 7, 9)
-    for channels, height, width, rows, cols in (*sizes, (4, 33, 300, 5, 1), (6, 64, 64, 1, 3)):
+    for channels, height, width, rows, cols in (
+        (3, 1, 1, 48, 64),
+        (3, 5, 3, 48, 64),
+        (1, 50, 130, 48, 64),
+        (3, 97, 515, 7, 9),
+        (4, 33, 300, 5, 1),
+        (6, 64, 64, 1, 3),
+    ):
         camera = random.normal(0.4, 0.3, (channels, height, width)).astype(np.float32)
         for ceiling in (np.inf, 0.9, random.uniform(0.6, 1, channels).astype(np.float32)):
             name = f"{channels}x{height}x{width} to {rows}x{cols}, ceiling {np.ndim(ceiling)}-d"

@@ -146,11 +146,11 @@ def cases():
     random = np.random.default_rng(11)
     charges = "the same float32 additions in the same order"
     numbers = "sums below 2^24 are exact, and so is the rounding of their mean"
-    blocks = (1, 1, 1, 1), (2, 2, 1, 1), (3, 2, 1, 1), (2, 2, 2, 2), (3, 3, 2, 2), (3, 2, 4, 2)
-    sizes = [
-        ((by, bx), (sy, sx), (4 * by * sy + 1, 5 * bx * sx + 3))
-        for by, bx, sy, sx in (*blocks, (2, 2, 6, 6), (8, 8, 8, 1))
-    ]
+    blocks = (
+        *((1, 1, 1, 1), (2, 2, 1, 1), (3, 2, 1, 1), (2, 2, 2, 2), (3, 3, 2, 2), (3, 2, 4, 2)),
+        *((2, 2, 6, 6), (8, 8, 8, 1)),
+    )
+    sizes = [((by, bx), (sy, sx), (4 * by * sy + 1, 5 * bx * sx + 3)) for by, bx, sy, sx in blocks]
     sizes += [((2, 2), (2, 2), (4, 4)), ((2, 2), (2, 2), (7, 4103)), ((1, 2), (2, 1), (5, 5000))]
     for binning, stride, (rows, cols) in sizes:
         inputs = {"binning": binning, "stride": stride}
@@ -159,8 +159,7 @@ def cases():
         yield exact_case(f"charges {name}", charges, pixels=values, **inputs)
         values = random.integers(0, 65536, (rows, cols), np.uint16)
         for label, average in (("sums", False), ("means", True)):
-            options = {**inputs, "average": average}
-            yield exact_case(f"{label} {name}", numbers, pixels=values, **options)
+            yield exact_case(f"{label} {name}", numbers, pixels=values, **inputs, average=average)
     values = np.ones((8, 12), np.float32)
     values[2, 3], values[5, 6], values[0, 11] = np.nan, np.inf, 1e-45
     pairs = {"binning": (2, 2), "stride": (2, 2)}

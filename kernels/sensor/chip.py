@@ -60,12 +60,18 @@ def chip(
     use = [int(plane is not None) for plane in planes[1:]]
     planes = [device.reshape(planes[0] if plane is None else plane, (size,)) for plane in planes]
     expected = device.empty((size,))
-    arrays = [*planes, expected, *warp_only(device, *use)]
-    options = {
-        "numbers": {"dark_time": dark_time},
-        "defines": {"RESPONSE": use[0], "DARK": use[1]},
-    }
-    device.launch("sensor.chip", "chip", (size,), *arrays, size, float(scale), **options)
+    device.launch(
+        "sensor.chip",
+        "chip",
+        (size,),
+        *planes,
+        expected,
+        *warp_only(device, *use),
+        size,
+        float(scale),
+        numbers={"dark_time": dark_time},
+        defines={"RESPONSE": use[0], "DARK": use[1]},
+    )
     return device.reshape(expected, tuple(mean.shape))
 
 
@@ -75,15 +81,20 @@ def cases():
     why = "both sides do the same correctly rounded float32 operations in the same order"
     for rows, cols in ((1, 1), (13, 37)):
         values = [0, 1e-8, 0.1, 1e3, 1e7, 1e38, np.inf, -np.inf, -1, np.nan, 7]
-        numbers = {"mean": np.resize(values, (rows, cols)).astype(np.float32)}
-        numbers |= {"scale": 0.3, "dark_time": 0.7}
+        mean = np.resize(values, (rows, cols)).astype(np.float32)
         planes = {
             "response": random.normal(1, 0.4, (rows, cols)).astype(np.float32),
             "dark": random.exponential(1, (rows, cols)).astype(np.float32),
         }
         for chosen in ((), ("response",), ("dark",), ("response", "dark")):
-            inputs = numbers | {name: planes[name] for name in chosen}
-            yield exact_case(f"{rows}x{cols} {' '.join(chosen) or 'mean only'}", why, **inputs)
+            yield exact_case(
+                f"{rows}x{cols} {' '.join(chosen) or 'mean only'}",
+                why,
+                mean=mean,
+                scale=0.3,
+                dark_time=0.7,
+                **{name: planes[name] for name in chosen},
+            )
 
 
 def bench(rows, cols):

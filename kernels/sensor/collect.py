@@ -40,13 +40,20 @@ def collect(device: Device, rates: Array, cfa: Array, exposure_time: float, slop
     rates, cfa = device.array(rates), device.array(cfa, np.int32)
     mean = device.empty((rows, cols))
     # The period is a compile-time constant: a modulo by a variable would double the cost.
-    arrays, grid = [rates, cfa, mean], (rows, cols)
-    sizes = [float(slope), rows, cols, *warp_only(device, *cfa.shape)]
-    options = {
-        "numbers": {"exposure_time": exposure_time},
-        "defines": {"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
-    }
-    device.launch("sensor.collect", "collect", grid, *arrays, *sizes, **options)
+    device.launch(
+        "sensor.collect",
+        "collect",
+        (rows, cols),
+        rates,
+        cfa,
+        mean,
+        float(slope),
+        rows,
+        cols,
+        *warp_only(device, *cfa.shape),
+        numbers={"exposure_time": exposure_time},
+        defines={"PERIOD_Y": cfa.shape[0], "PERIOD_X": cfa.shape[1]},
+    )
     return mean
 
 
@@ -61,8 +68,8 @@ def cases():
     for pattern in (*bayer, [[0]], [[0, 1, 2], [3, 0, 1]]):
         for rows, cols, slope in ((1, 1, 0.0), (3, 5, 1e-3), (63, 65, 0.027)):
             rates = (10.0 ** random.uniform(-6, 6, (4, rows, cols))).astype(np.float32)
-            inputs = {"rates": rates, "cfa": np.array(pattern, np.int32), "slope": slope}
-            inputs["exposure_time"] = 0.013
+            cfa = np.array(pattern, np.int32)
+            inputs = {"rates": rates, "cfa": cfa, "exposure_time": 0.013, "slope": slope}
             name = f"{rows}x{cols}, cfa {pattern}"
             yield Case(name, inputs, 10 * 2.0**-23, why, metric="local")
     overshot = random.normal(0, 1, (3, 7, 9)).astype(np.float32)

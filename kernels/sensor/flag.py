@@ -91,9 +91,14 @@ def cases():
             plane.flat[places] = hard[: len(places)]
         for chosen in (("response",), ("dark",), ("response", "dark")):
             name = f"{rows}x{cols}, binning {binning}, stride {stride}, {' '.join(chosen)}"
-            inputs = {"least": 3.0, "binning": binning, "stride": stride}
-            inputs |= {name: planes[name] for name in chosen}
-            yield exact_case(name, "comparisons only", **inputs)
+            yield exact_case(
+                name,
+                "comparisons only",
+                **{part: planes[part] for part in chosen},
+                least=3.0,
+                binning=binning,
+                stride=stride,
+            )
     dark = np.array([[0, 1e-45, -1, np.nan, np.inf]], np.float32)
     yield exact_case("any dark current", "comparisons only; denormals count", dark=dark)
 

@@ -113,11 +113,17 @@ def _by_chunks(device, arrays, rows, cols, numbers, count, out):
     """Reduce on CPUs: a strip of a row, or a chunk of the frame, per work-item."""
     opencl, strips, size = device.kind == "opencl", -(-cols // STRIP), rows * cols
     launch = partial(device.launch, "sensor.meter")
-    defines, group = {"WIDTH": 8, "STRIP": STRIP}, (1,) if opencl else None
+    defines = {"WIDTH": 8, "STRIP": STRIP}
+    group = (1,) if opencl else None
     sums = device.empty((FIELDS, rows, strips))
-    sizes = [rows, cols, strips, *warp_only(device, STRIP)]
-    grid, pair = (rows, strips), group and (1, 1)
-    launch("parts", grid, *arrays, sums, *sizes, defines=defines, group=pair)
+    launch(
+        "parts",
+        (rows, strips),
+        *(*arrays, sums),
+        *(rows, cols, strips, *warp_only(device, STRIP)),
+        defines=defines,
+        group=(1, 1) if opencl else None,
+    )
     sums = device.reshape(sums, (FIELDS, rows * strips))
     launch("finish", (1,), sums, out, rows * strips, size, defines=defines, group=group)
     if not count:
@@ -131,11 +137,22 @@ def _by_chunks(device, arrays, rows, cols, numbers, count, out):
         lists = 1 if shift == PASSES[0][0] else count
         counts = device.empty((chunks, lists, (2 if opencl else 1) * BINS), np.int32)
         above = device.empty((chunks, lists), np.int32)
-        found, sizes = [state, counts, above], [size, chunk, shift, bits, *warp_only(device, lists)]
-        own = defines | {"LISTS": lists}
-        launch("tally", (chunks,), rates, *found, *sizes, defines=own, group=group)
-        found, sizes = [counts, above, numbers, state, merged, out], [chunks, lists, shift, bits]
-        launch("choose", (count,), *found, *sizes, defines=defines, group=group)
+        launch(
+            "tally",
+            (chunks,),
+            *(rates, state, counts, above),
+            *(size, chunk, shift, bits, *warp_only(device, lists)),
+            defines=defines | {"LISTS": lists},
+            group=group,
+        )
+        launch(
+            "choose",
+            (count,),
+            *(counts, above, numbers, state, merged, out),
+            *(chunks, lists, shift, bits),
+            defines=defines,
+            group=group,
+        )
 
 
 def _by_groups(device, arrays, rows, cols, numbers, count, out):
@@ -150,8 +167,15 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
     sums = device.empty((FIELDS, parts))
     cleared = (BINS * (1 + 2 * count) + count) * (count > 0)
     counts = device.empty((max(cleared, 1),), np.int32)
-    sizes, group = [rows, cols, strips, cleared], (items,)
-    launch("parts", (parts * items,), *arrays, sums, counts, *sizes, defines=defines, group=group)
+    group = (items,)
+    launch(
+        "parts",
+        (parts * items,),
+        *(*arrays, sums, counts),
+        *(rows, cols, strips, cleared),
+        defines=defines,
+        group=group,
+    )
     launch("finish", (items,), sums, out, parts, size, defines=defines, group=group)
     if not count:
         return
@@ -159,14 +183,22 @@ def _by_groups(device, arrays, rows, cols, numbers, count, out):
     rates, start = device.reshape(arrays[0], (size,)), 0
     for shift, bits in PASSES:
         lists = 1 if shift == PASSES[0][0] else count
-        own, sizes = (
-            defines | {"ITEMS": wide, "LISTS": lists},
-            [start, cleared - count, shift, bits],
+        launch(
+            "tally",
+            (-(-size // SHARE) * wide,),
+            *(rates, state, counts),
+            *(size, start, cleared - count, shift, bits),
+            defines=defines | {"ITEMS": wide, "LISTS": lists},
+            group=(wide,),
         )
-        grid = (-(-size // SHARE) * wide,)
-        launch("tally", grid, rates, state, counts, size, *sizes, defines=own, group=(wide,))
-        found, sizes = [counts, numbers, state, out], [start, cleared - count, lists, shift, bits]
-        launch("choose", (count * items,), *found, *sizes, defines=defines, group=group)
+        launch(
+            "choose",
+            (count * items,),
+            *(counts, numbers, state, out),
+            *(start, cleared - count, lists, shift, bits),
+            defines=defines,
+            group=group,
+        )
         start += lists * BINS
 
 
@@ -226,5 +258,5 @@ def bench(rows, cols):
     """Return inputs: light with lamps and no quantile, as for exposure by the mean."""
     random = np.random.default_rng(11)
     rates = random.gamma(2.0, 300.0, (rows, cols)).astype(np.float32)
-    weights = {"weights_y": _weights(rates.shape[0]), "weights_x": _weights(cols)}
+    weights = {"weights_y": _weights(rows), "weights_x": _weights(cols)}
     return {"rates": rates, **weights, "fractions": ()}

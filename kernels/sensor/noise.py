@@ -107,9 +107,13 @@ def noise(
         Farrell and Wandell, section 5.3; EMVA 1288 for the terms.
     """
     rows, cols = expected.shape
-    limits = full_well, gain, white_level, photon, telegraph_switching, black_level
-    noises = {"dark_electrons": dark_electrons, "read_noise": read_noise}
-    check(*limits, **noises, row_noise=row_noise, column_noise=column_noise)
+    check(
+        *(full_well, gain, white_level, photon, telegraph_switching, black_level),
+        dark_electrons=dark_electrons,
+        read_noise=read_noise,
+        row_noise=row_noise,
+        column_noise=column_noise,
+    )
     check_drawn(seed, frame, frames, read)
     for name, plane in (("offset", offset), ("amplitude", amplitude)):
         if plane is not None and tuple(plane.shape) != (rows, cols):
@@ -143,18 +147,22 @@ def noise(
     lines = None
     if common["LINES"]:
         lines = device.empty((count, rows + cols))
-        sizes = [count, rows, cols, *first]
-        numbers = [float(row_noise), float(column_noise), int(read)]
-        grid = (count, -(-rows // width) + -(-cols // width))
-        options = {"numbers": drawn, "words": _line_words, "defines": common}
-        device.launch("sensor.noise", "lines", grid, lines, *sizes, *numbers, **options)
+        device.launch(
+            "sensor.noise",
+            "lines",
+            (count, -(-rows // width) + -(-cols // width)),
+            lines,
+            *(count, rows, cols, *first),
+            *(float(row_noise), float(column_noise), int(read)),
+            numbers=drawn,
+            words=_line_words,
+            defines=common,
+        )
     planes = [
         expected if plane is None else plane for plane in (expected, offset, amplitude, lines)
     ]
     scale = (1.0, 0.0) if electrons else (gain, black_level)
     first_pixel = signed((first[0] * frame_cols + first[1]) % 2**32)
-    fixed = [rows, cols, first_pixel, frame_cols, chance_word(telegraph_switching, 31)]
-    fixed += [float(full_well), float(white_level or 0.0), int(read)]
     numbers = {
         "dark_electrons": dark_electrons,
         # a kernel without read noise takes none later: another is built then
@@ -163,9 +171,18 @@ def noise(
         "black_level": scale[1],
         **drawn,
     }
-    grid = (count, rows, -(-cols // width))
-    options = {"numbers": numbers, "words": _noise_words, "defines": common}
-    device.launch("sensor.noise", "noise", grid, *planes, out, *fixed, **options)
+    device.launch(
+        "sensor.noise",
+        "noise",
+        (count, rows, -(-cols // width)),
+        *planes,
+        out,
+        *(rows, cols, first_pixel, frame_cols, chance_word(telegraph_switching, 31)),
+        *(float(full_well), float(white_level or 0.0), int(read)),
+        numbers=numbers,
+        words=_noise_words,
+        defines=common,
+    )
     return device.reshape(out, (rows, cols)) if frames is None else out
 
 
@@ -241,8 +258,15 @@ def cases():
     bit for bit.
     """
     random = np.random.default_rng(1)
-    sensor = {**NOISES, "full_well": 2e4, "gain": 0.5, **LEVELS, "telegraph_switching": 0.3}
-    sensor |= {"seed": 2**64 - 2, "frame": 2**32 - 3}
+    sensor = {
+        **NOISES,
+        "full_well": 2e4,
+        "gain": 0.5,
+        **LEVELS,
+        "seed": 2**64 - 2,
+        "frame": 2**32 - 3,
+        "telegraph_switching": 0.3,
+    }
     why = "both sides do the same correctly rounded operations in the same order"
 
     def case(name, mean, planes=True, **changed):
@@ -276,8 +300,10 @@ def cases():
     yield case("a later read", mean, read=3)
     yield case("a tile", mean, first=(40, 1000), frame_cols=70_000)
     yield case("a first frame", mean, frame=0, telegraph_switching=0.01, electrons=True)
-    extreme = [0, 1e-40, 1e-8, 1e-3, 0.1, 5, 11.9, 12, 12.1, 23.9, 24, 24.1, 87, 88, 104, 300, 1e4]
-    extreme += [1e7, 2.0**24 + 2, 1e12, 1e38, np.nan, np.inf, -np.inf, -1e-6, -1, 5]
+    extreme = [
+        *(0, 1e-40, 1e-8, 1e-3, 0.1, 5, 11.9, 12, 12.1, 23.9, 24, 24.1, 87, 88, 104, 300, 1e4),
+        *(1e7, 2.0**24 + 2, 1e12, 1e38, np.nan, np.inf, -np.inf, -1e-6, -1, 5),
+    ]
     alone = {**quiet, "dark_electrons": 0.0, "full_well": 3e38, "electrons": True}
     for level in extreme:
         for photon in ("fast", "exact"):

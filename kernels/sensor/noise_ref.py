@@ -42,9 +42,13 @@ def noise(
     electrons=False,
 ):
     """Return the stage's result, see `noise.py`."""
-    limits = full_well, gain, white_level, photon, telegraph_switching, black_level
-    noises = {"dark_electrons": dark_electrons, "read_noise": read_noise}
-    check(*limits, **noises, row_noise=row_noise, column_noise=column_noise)
+    check(
+        *(full_well, gain, white_level, photon, telegraph_switching, black_level),
+        dark_electrons=dark_electrons,
+        read_noise=read_noise,
+        row_noise=row_noise,
+        column_noise=column_noise,
+    )
     check_drawn(seed, frame, frames, read)
     expected, key, frame = np.asarray(expected, f32), seed_words(int(seed)), int(frame)
     rows, cols = expected.shape

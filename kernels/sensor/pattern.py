@@ -78,21 +78,35 @@ def pattern(
     width = 8 if is_opencl_cpu(device) else 1  # see lanes.clh
     frame_cols = frame_cols or first[1] + cols
     values = device.empty((rows, cols))
-    sizes = [rows, cols, *first, frame_cols, PLANES.index(plane)]
-    numbers = [float(mean), float(pixel), float(row), float(column)]
-    for chance in (dead, share):
-        numbers += [int(chance > 0), signed(chance_word(chance))]
-    numbers += [float(scale), *map(signed, seed_words(seed))]
-    grid, defines = (rows, -(-cols // width)), {"WIDTH": width}
-    device.launch("sensor.pattern", "pattern", grid, values, *sizes, *numbers, defines=defines)
+    device.launch(
+        "sensor.pattern",
+        "pattern",
+        (rows, -(-cols // width)),
+        values,
+        *(rows, cols, *first, frame_cols, PLANES.index(plane)),
+        *map(float, (mean, pixel, row, column)),
+        *(int(dead > 0), signed(chance_word(dead))),
+        *(int(share > 0), signed(chance_word(share))),
+        float(scale),
+        *map(signed, seed_words(seed)),
+        defines={"WIDTH": width},
+    )
     return values
 
 
 def cases():
     """Yield cases: every plane with every part, tiles, odd sizes: bit for bit."""
     why = "both sides do the same correctly rounded float32 operations in the same order"
-    parts = {"mean": 1.0, "pixel": 0.02, "row": 0.01, "column": 0.005}
-    parts |= {"dead": 0.05, "share": 0.1, "scale": 3.0, "seed": 2**63 + 5}
+    parts = {
+        "mean": 1.0,
+        "pixel": 0.02,
+        "row": 0.01,
+        "column": 0.005,
+        "dead": 0.05,
+        "share": 0.1,
+        "scale": 3.0,
+        "seed": 2**63 + 5,
+    }
     sizes = (1, 1, (0, 0), None), (3, 5, (0, 0), None), (63, 65, (7, 900), 70_000)
     for plane in PLANES:
         for rows, cols, first, frame_cols in sizes:

@@ -10,8 +10,6 @@ reads only the instants between a row's first and last weight that is not zero: 
 pixel for m of them.
 """
 
-from typing import Any
-
 import numpy as np
 
 from gpusim.backends import Device
@@ -45,9 +43,16 @@ def shutter(device: Device, rates: Array, weights: Array) -> Array:
     arrays = [device.array(rates), device.array(weights), device.array(spans(weights), np.int32)]
     sizes = [instants, rows, cols]
     grid = (rows, -(-cols // chunk) if device.kind == "opencl" else cols)
-    group = None if device.is_gpu else (1, 1)
-    options: dict[str, Any] = {"defines": {"CHUNK": chunk}, "group": group}
-    device.launch("sensor.shutter", "shutter", grid, *arrays, mean, *sizes, **options)
+    device.launch(
+        "sensor.shutter",
+        "shutter",
+        grid,
+        *arrays,
+        mean,
+        *sizes,
+        defines={"CHUNK": chunk},
+        group=None if device.is_gpu else (1, 1),
+    )
     return mean
 
 

@@ -43,9 +43,14 @@ def decode(device: Device, codes: Array, curve: Array) -> Array:
     if len(codes.shape) == 2:
         codes = device.reshape(codes, (rows, cols, 1))
     # An inner loop that is not unrolled stops PoCL from vectorising.
-    kernel, defines = "decode_bytes" if kind == np.uint8 else "decode_words", {"CHANNELS": channels}
-    arrays, sizes = [codes, curve, out], [rows, cols, *warp_only(device, channels)]
-    device.launch("spectral.decode", kernel, (rows, cols), *arrays, *sizes, defines=defines)
+    device.launch(
+        "spectral.decode",
+        "decode_bytes" if kind == np.uint8 else "decode_words",
+        (rows, cols),
+        *(codes, curve, out),
+        *(rows, cols, *warp_only(device, channels)),
+        defines={"CHANNELS": channels},
+    )
     return out
 
 
@@ -79,8 +84,11 @@ def cases():
         mixed = np.stack([every, every[::-1], random.permutation(every)], axis=-1)
         mixed = mixed.reshape(-1, 32, 3)
         yield exact_case(f"every {kind} in three channels", why, codes=mixed, curve=srgb)
-        shapes = (1, 1, 3), (1, 1), (3, 5, 3), (1, 17, 3), (17, 1, 3), (33, 65, 3), (7, 129, 4)
-        for shape in (*shapes, (9, 31, 1), (5, 6, 5), (0, 4, 3), (4, 0, 3)):
+        shapes = (
+            *((1, 1, 3), (1, 1), (3, 5, 3), (1, 17, 3), (17, 1, 3), (33, 65, 3), (7, 129, 4)),
+            *((9, 31, 1), (5, 6, 5), (0, 4, 3), (4, 0, 3)),
+        )
+        for shape in shapes:
             curve = random.normal(0, 1, count) * 10.0 ** random.integers(-30, 30, count)
             curve = curve.astype(np.float32)
             extremes = np.nan, np.inf, -np.inf, -0.0, 3e38, 1.2e-38, 1, -1

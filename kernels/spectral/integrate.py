@@ -44,7 +44,7 @@ def integrate(device: Device, content: Array, weights: Array) -> Array:
     defines = {"BANDS": bands, "PLANES": planes}
     if device.kind == "opencl" and device.on_host:
         chunk = max(SUMS // planes // 64, 1) * 64
-        defines |= {"WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER}
+        defines = {**defines, "WIDTH": 8, "CHUNK": chunk, "TOGETHER": TOGETHER}
         grid = (-(-rows * cols // chunk),)
         device.launch(LINES, name, grid, *given, group=(1,), defines=defines)
     else:

@@ -8,8 +8,6 @@ planes (planes, rows, cols) float32:
 Six bytes per pixel are read instead of a whole spectrum.
 """
 
-from typing import Any
-
 import numpy as np
 
 from gpusim.backends import Device
@@ -35,8 +33,10 @@ def materials(device: Device, ids: Array, shading: Array, table: Array) -> Array
     out = device.empty((planes, rows, cols))
     arrays = [ids, shading, table, out]
     sizes = [rows * cols, count, *warp_only(device, planes, cols)]
-    options: dict[str, Any] = {"defines": {"PLANES": planes}}
-    device.launch("spectral.materials", "materials", (rows * cols,), *arrays, *sizes, **options)
+    defines = {"PLANES": planes}
+    device.launch(
+        "spectral.materials", "materials", (rows * cols,), *arrays, *sizes, defines=defines
+    )
     return out
 
 

@@ -19,7 +19,6 @@ otherwise rounding would lose them in a smooth picture.
 """
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -83,15 +82,17 @@ def survey(
     out = device.empty((pairs, 3, count + 1))
     if not pairs:
         return out
-    kernel, inputs = ("mixed", [content]) if ids is None else ("labelled", [ids, content])
-    inputs += [table, first]
+    kernel = "mixed" if ids is None else "labelled"
+    inputs = [*([] if ids is None else [ids]), content, table, first]
     if device.is_gpu:
         _by_groups(device, kernel, inputs, out, entries, rows, cols, unit)
         return out
     grid, group = ((pairs, -(-count // BLOCK) + 1), (1, 1)) if opencl else ((pairs,), None)
     sizes = [entries, rows, cols, count, unit]
-    options: dict[str, Any] = {"defines": {"WIDTH": 8, "BLOCK": BLOCK}, "group": group}
-    device.launch("spectral.survey", kernel, grid, *inputs, out, *sizes, **options)
+    defines = {"WIDTH": 8, "BLOCK": BLOCK}
+    device.launch(
+        "spectral.survey", kernel, grid, *inputs, out, *sizes, defines=defines, group=group
+    )
     return out
 
 
@@ -144,15 +145,16 @@ def cases():
     zeros, NaN.
     """
     random = np.random.default_rng(11)
-    sizes = (
+    for rows, cols, entries, count in (
         (1, 1, 31, 3),
         (1, 9, 5, 1),
         (7, 1, 3, 16),
         (5, 2, 1, 5),
         (3, 8, 31, 12),
         (33, 65, 70, 7),
-    )
-    for rows, cols, entries, count in (*sizes, (20, 300, 6, 4), (9, 1025, 130, 12)):
+        (20, 300, 6, 4),
+        (9, 1025, 130, 12),
+    ):
         table = random.normal(0, 10.0 ** random.uniform(-4, 4, (count, 1)), (count, entries))
         first = random.integers(-2, rows + 2, 5)
         shape = f"{rows}x{cols}, {entries} entries, {count} projections"

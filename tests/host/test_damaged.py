@@ -2,6 +2,8 @@
 
 import io
 import json
+from dataclasses import replace
+from decimal import Decimal
 from fractions import Fraction
 
 import numpy as np
@@ -14,6 +16,7 @@ from gpusim.apps.preview.state import State
 from gpusim.apps.video.loops import Lags, Loops
 from gpusim.apps.video.manifest import Plans, keep_manifest
 from gpusim.domain.errors import BadData, BadFile, GpusimError
+from gpusim.domain.pupil import Pupil
 
 SHEET = {
     "pixel_pitch": 3.45e-6,
@@ -44,6 +47,40 @@ SHEET = {
 def test_data_sheets_of_other_kinds_are_refused(change):
     with refused(error=GpusimError):
         gs.sensor_from_emva1288(**SHEET | change)
+
+
+HUGE = 10**5000  # more digits than Python writes
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: gs.Noise(temperature=Decimal(25)),
+        lambda: gs.Noise(reference_temperature=Decimal(25)),
+        lambda: gs.Noise(photon=HUGE),
+        lambda: gs.Noise(dark_current=HUGE),
+        lambda: gs.Noise(seed=HUGE),
+        lambda: gs.AutoExposure(HUGE),
+        lambda: gs.Optics(4.0, HUGE),
+        lambda: gs.Optics(4.0, False),
+        lambda: Pupil(rotation=HUGE),
+        lambda: gs.Processor(color=HUGE),
+        lambda: gs.Display(curve=HUGE),
+        lambda: replace(gs.open_camera("phone").sensor, binning=(HUGE, 1)),
+        lambda: replace(gs.open_camera("phone").sensor, centre=("x", HUGE)),
+        lambda: gs.illuminant(HUGE),
+        lambda: gs.open_scene("ramp", depth=HUGE),
+        lambda: replace(gs.chart("ramp"), name=HUGE, depth=np.ones((3, 3))),
+    ],
+)
+def test_numbers_of_other_kinds_are_refused(make):
+    with refused(error=GpusimError):
+        make()
+
+
+def test_a_scene_may_have_any_name():
+    picture = gs.display_picture(np.zeros((4, 4, 3), np.uint8), gs.open_display("srgb"))
+    assert replace(picture, name=HUGE).name == HUGE
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gpusim.domain.errors import BadFile, OutOfRange, UnknownName
+from gpusim.domain.errors import BadFile, OutOfRange, check_known
 
 ALONG = ("axis", "ray", "none")
 FAR = 1e6  # [m] depth of nothing: 0 (Mitsuba) or infinite; Blender's 1e10 m may stay
@@ -10,8 +10,7 @@ FAR = 1e6  # [m] depth of nothing: 0 (Mitsuba) or infinite; Blender's 1e10 m may
 
 def check_depth(along: str, fov: float | None):
     """Raise UnknownName unless `along` is in ALONG, OutOfRange if "ray" has no field of view."""
-    if along not in ALONG:
-        raise UnknownName("depth", str(along), ALONG)
+    check_known("depth", along, ALONG)
     if along == "ray" and not (fov is not None and 0 < fov < np.pi):
         allowed = 'the horizontal field of view [rad], 0 < fov < pi, with depth = "ray"'
         raise OutOfRange("fov", fov, allowed)

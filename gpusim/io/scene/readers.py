@@ -175,7 +175,7 @@ def checked_wavelengths(wavelengths) -> np.ndarray:
 def checked_kind(kind: str | None) -> str:
     """Return a user's kind of planes, one of KINDS; reflectance if None. Raises UnknownName."""
     if kind not in (None, *KINDS):
-        raise UnknownName("kind of planes", str(kind), KINDS)
+        raise UnknownName("kind of planes", one_line(kind), KINDS)
     return kind or KINDS[0]
 
 
