@@ -299,9 +299,17 @@ def eigen_kernels(
     reach = mean.shape[-1] // 2
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
     maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
-    kernels, index = np.concatenate([mean[None], basis[: terms - 1]]), np.arange(terms)[None]
-    figures = error(terms), terms, _cost(edges, reach, terms), flat_error(terms)
-    return FieldBlur("eigen-kernels", maps, kernels, index, edges, *figures)
+    return FieldBlur(
+        "eigen-kernels",
+        maps,
+        np.concatenate([mean[None], basis[: terms - 1]]),
+        np.arange(terms)[None],
+        edges,
+        error(terms),
+        terms,
+        _cost(edges, reach, terms),
+        flat_error(terms),
+    )
 
 
 def _sample_places(shape, samples=SAMPLES):
@@ -445,7 +453,7 @@ def _interpolate(nodes, vectors, rows, cols, grid=True):
     """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
     counts = len(nodes[0]), len(nodes[1])
     shape = (len(rows), len(cols)) if grid else (len(rows),)
-    degrees = {"kx": min(3, counts[0] - 1), "ky": min(3, counts[1] - 1)}
+    degrees = min(3, counts[0] - 1), min(3, counts[1] - 1)
     out = np.empty((vectors.shape[1], *shape))
     for k, values in enumerate(vectors.T):
         if max(counts) == 1:
@@ -453,8 +461,9 @@ def _interpolate(nodes, vectors, rows, cols, grid=True):
         elif min(counts) == 1:
             out[k] = np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len), values)
         else:
-            given = *nodes, values.reshape(counts)
-            spline = scipy.interpolate.RectBivariateSpline(*given, **degrees)
+            spline = scipy.interpolate.RectBivariateSpline(
+                *nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1]
+            )
             out[k] = spline(rows, cols, grid=grid)
     return out
 

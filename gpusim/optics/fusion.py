@@ -134,8 +134,9 @@ class Response:
         in each channel, shape (C, planes, L).
         """
         wrong, differences = self.excess(table, transfers), spectra.differences
-        terms = wrong, self.optical, wrong, differences
-        error = np.einsum("clm,ln,cno,mo->c", *terms, optimize=True)
+        error = np.einsum(
+            "clm,ln,cno,mo->c", wrong, self.optical, wrong, differences, optimize=True
+        )
         signal = np.einsum("cl,lm,cm->c", self.flat, spectra.values, self.flat)
         total = self.share @ signal
         return float(np.sqrt(max(self.share @ error, 0.0) / total)) if total > 0 else 0.0

@@ -174,8 +174,8 @@ def interpolation_error(
     """
     phases = np.full((PHASES, PHASES), PHASES**-2.0) if phases is None else phases
     along_y, along_x = _interpolated_waves(fy, width), _interpolated_waves(fx, width)
-    powers = np.abs(along_y) ** 2, np.abs(along_x) ** 2
-    square = np.einsum("ab,af,bg->fg", phases, *powers, optimize=True)
+    power_y, power_x = np.abs(along_y) ** 2, np.abs(along_x) ** 2
+    square = np.einsum("ab,af,bg->fg", phases, power_y, power_x, optimize=True)
     mean = np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True)
     return np.maximum(square - 2 * mean.real + 1, 0)
 

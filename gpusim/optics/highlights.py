@@ -105,7 +105,8 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     if left.ndim > 1:
         left = np.where(stored == 0, 0, left).max(axis=0)
     strength = strength * (1 - left)
-    brightness[rows, cols], residue = median, 0.0
+    brightness[rows, cols] = median
+    residue = 0.0
     if len(bright) > len(chosen):
         residue = _transform_error(brightness, max(median, 1e-38))
     # beyond r pixels an Airy pattern stays below 2 q / (pi^3 r^3) a pixel (the envelope of its rings)
@@ -119,8 +120,15 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
         missing = float(beyond / brightness.size)
         for axis, n in enumerate((high, wide)):
             places, image = _mirror(places, image, axis, n, reach)
-    points = places - margin, light[image].astype(np.int32), strength[image]
-    return rest, Highlights(*points, spectra, reach[image], residue, missing)
+    return rest, Highlights(
+        places - margin,
+        light[image].astype(np.int32),
+        strength[image],
+        spectra,
+        reach[image],
+        residue,
+        missing,
+    )
 
 
 def _mirror(places, image, axis, n, reach):

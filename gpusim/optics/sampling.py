@@ -163,11 +163,13 @@ def sampling_error(
         mean_x, square_x = _mean_response(cols, waves.all)
         mean, square = mean_y[:, None] * mean_x, square_y[:, None] * square_x
     error = 0.0
-    how = ratio, aperture, mean, square, displacement
     for channel, part in enumerate(share):
-        per_jump, per_change = _unit_errors(optical[channel], waves, *how)
-        own = per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
-        error += part * own
+        per_jump, per_change = _unit_errors(
+            optical[channel], waves, ratio, aperture, mean, square, displacement
+        )
+        error += part * (
+            per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
+        )
     return float(np.sqrt(error / (share @ channels.squares)))
 
 

@@ -172,12 +172,21 @@ def surroundings(
     def in_tiles(overlap, tails):
         tiles, folds = tiling(overlap, cfa)
         reach, side, made = tiles.overlap, tiles.side, None
-        of = ceil(reach / ratio), [reach, reach], (side, side), folds, outside, level
         for spacings in TILES_SPACINGS:  # the fewest that are no matter
             field = far_field(question, tails, reach, side, spacings)
             if field is None:
                 return None
-            made = Surroundings(*of, field, tiles, question)
+            made = Surroundings(
+                ceil(reach / ratio),
+                [reach, reach],
+                (side, side),
+                folds,
+                outside,
+                level,
+                field,
+                tiles,
+                question,
+            )
             if made.splines.ratio(question.tolerance) <= SMALL:
                 break
         return made

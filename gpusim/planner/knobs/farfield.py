@@ -21,6 +21,7 @@ blurred both ways (`ring_errors`).
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from math import pi, sqrt
 
@@ -197,9 +198,9 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
         return 0.0
     each = question.edges @ energies(far.sigmas, far.tails)
     power, slow = outside.spectrum
-    of = question.size, far.sigmas, each, far.spacings
-    wrong = (misses(*of, FREQUENCIES, FREQUENCIES) * power).sum(axis=(1, 2))
-    wrong += slow * misses(*of, SLOW, (0.0,)).max(axis=(1, 2))
+    missed = partial(misses, question.size, far.sigmas, each, far.spacings)
+    wrong = (missed(FREQUENCIES, FREQUENCIES) * power).sum(axis=(1, 2))
+    wrong += slow * missed(SLOW, (0.0,)).max(axis=(1, 2))
     rms = sqrt(float(question.share @ wrong) / outside.level**2 + SPLINES**2)
     return rms + outside.missing / outside.level
 
