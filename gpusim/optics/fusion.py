@@ -366,8 +366,8 @@ class Watch:
         seen: Weights of the squares of the projections by `flat` in |P d|^2, shape (up to 8,).
         beside: |R^1/2 P| and |R^1/2 Q|, over coefficients.
         first: Upper rows of the pairs to survey, int32 (n,).
-        inputs: Planes from spectra, shape (planes, L). The plan's table gives the same planes
-            from entries.
+        inputs: Planes from spectra, shape (planes, L). The plan's `Planes` give the
+            same from entries.
         factor: Correction of the error, measured by probes of the plan's scene.
         falls: Part of the square of each row of B that remains with one plane more, two more
             and so on, shape (up to 15,) each.

@@ -95,7 +95,7 @@ class FarField:
     def energies(self, transfers, border: str | None = None) -> np.ndarray:
         """Return their part of a plan's transfer tables, shape (groups, planes, G).
 
-        transfers: see `Plan`. border: see `gpusim.optics.farfield.energies`.
+        transfers: see `Fusion`; None: each plane is one wavelength. border: see `gpusim.optics.farfield.energies`.
         """
         each = energies(self.sigmas, self.tails, border)
         return each[None] if transfers is None else np.tensordot(transfers, each, 1)
@@ -103,7 +103,7 @@ class FarField:
     def weights(self, mix, transfers) -> np.ndarray:
         """Return their part of a plan's channels, by planes, shape (C, planes, G).
 
-        mix: see `Plan`.
+        mix: see `Blur`. transfers: see `energies`.
         """
         return np.asarray(mix)[..., None] * self.energies(transfers, self.border)
 

@@ -29,7 +29,7 @@ def varying_planes(question: Question, response: Response, prior, flat):
         question: The question.
         response: Channels over wavelength and frequency.
         prior: E[x^T x] of likely spectra, shape (L, L).
-        flat: See `Plan`.
+        flat: Response to a flat field of each wavelength, see `Plan`.
 
     Returns:
         Planes from spectra, transfers on the axis, mix, the difference from the axis, error and
