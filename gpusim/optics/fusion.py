@@ -106,8 +106,14 @@ class Response:
         power = count / power / period**2
         share = np.bincount(np.ravel(cfa), minlength=len(weights)) / np.size(cfa)
         tables = tables.reshape(len(tables), -1)
-        power, count = np.tile(power.ravel(), places), np.tile(count.ravel(), places)
-        return cls(weights, weights * np.real(tables[:, :1].T), share, tables, power, count)
+        return cls(
+            weights,
+            weights * np.real(tables[:, :1].T),
+            share,
+            tables,
+            np.tile(power.ravel(), places),
+            np.tile(count.ravel(), places),
+        )
 
     def channel(self, c) -> "Response":
         """Return the response of channel c only."""
@@ -480,10 +486,9 @@ class Watch:
         error |b|^2 of M.
         """
         size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150)  # its square is no 0
-        falls = []
-        for more in moments:
-            falls.append(np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2)
-        return tuple(falls)
+        return tuple(
+            np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments
+        )
 
     def count_missing_planes(self, survey) -> int:
         """Return the number of additional planes with which the error of a content is within the limit.
