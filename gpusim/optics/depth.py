@@ -175,7 +175,8 @@ def plan_depth(
     if sheets:
         every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets])
     low, high = float(every.min()), float(every.max())
-    power, change = float(np.mean(light**2)) or 1.0, 0.0
+    power = float(np.mean(light**2)) or 1.0
+    change = 0.0
     for axis in (0, 1):
         if light.shape[axis] > 1:
             change += float(np.mean(np.diff(light, axis=axis) ** 2))
@@ -202,7 +203,8 @@ def plan_depth(
     if sheets:
         predicted["depth, in layers that are given"] = edges.given_error(light, power)
         predicted["depth, if without layers"] = plain
-        layer, count = np.zeros(light.shape, np.uint8), len(sheets)
+        layer = np.zeros(light.shape, np.uint8)
+        count = len(sheets)
         model = f"{count} layers that are given; {span}"
         return DepthPlan(distances, nodes, confusion, layer, count, model, predicted, sheets)
     cuts = edges.choose_cuts(low, high, tolerance**2 * power * light.size)

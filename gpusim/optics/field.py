@@ -174,7 +174,8 @@ def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat
     if flat:
         rows, cols = (one.dense(at) for one, at in zip(axes, flat.axes, strict=True))
         wrong = flat.error(kernels, _window_maps(rows, cols))
-    maps, error = partial(_window_maps, along_y, along_x), image_error(mixed, wanted)
+    maps = partial(_window_maps, along_y, along_x)
+    error = image_error(mixed, wanted)
     cost = _cost(edges, reach, terms)
     return FieldBlur("overlap-add", maps, kernels, index, edges, error, terms, cost, wrong)
 
@@ -550,7 +551,8 @@ class Differences:
                 f"{shift:.3g} pixels at the frame's corner",
                 f"up to {WIDEST_SHIFT} pixels; or a coarser pixel",
             )
-        middle, size = [self.nodes[len(self.nodes) // 2]], max(SIZES[-1], least)
+        middle = [self.nodes[len(self.nodes) // 2]]
+        size = max(SIZES[-1], least)
         whole = self.lens.kernels(middle, corner, size)
         axis = self.lens.kernels(middle, (0.0, 0.0), size)
         for size in SIZES:

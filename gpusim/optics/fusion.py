@@ -208,7 +208,8 @@ def _labelled_moments(ids, shading, entries, weight):
 
     def products(a, b):
         """Sums of products of two entries at two places: slices of rows and columns."""
-        both, values = ids[a] * count + ids[b], weight[:, None] * (shading[a] * shading[b])
+        both = ids[a] * count + ids[b]
+        values = weight[:, None] * (shading[a] * shading[b])
         sums = np.bincount(both.ravel(), values.ravel(), count**2)
         return sums.reshape(count, count) / both.size
 
@@ -407,7 +408,8 @@ class Watch:
             content: The content.
             shape: Rows and columns of the samples that are surveyed; by default all.
         """
-        entries, signal = content.entry_spectra, (response.flat.T * response.share) @ response.flat
+        entries = content.entry_spectra
+        signal = (response.flat.T * response.share) @ response.flat
         flat, _, _ = _rows(signal, content, min(FLAT_ROWS, len(response.flat)))
         count = WRONG_ROWS if len(table) <= FEW else ALL_ROWS - len(flat)
         wrong, left, rest = _rows(wrong_moments(response, table, transfers), content, count)
@@ -418,7 +420,8 @@ class Watch:
         along = rest @ there.T
         beside = float(np.linalg.norm(along, 2)), float(np.linalg.norm(rest - along @ there, 2))
         first = row_pairs(*(content.shape if shape is None else shape)).astype(np.int32)
-        projections, table = projections.astype(np.float32), np.asarray(table)
+        projections = projections.astype(np.float32)
+        table = np.asarray(table)
         return cls(flat, wrong, left, projections, seen**2, beside, first, table)
 
     @classmethod
@@ -462,7 +465,8 @@ class Watch:
         Args:
             survey: Result of `spectral.survey`, shape (n, 3, P + 1).
         """
-        found, signals = self._in_content_units(survey), len(self.flat)
+        found = self._in_content_units(survey)
+        signals = len(self.flat)
         if not np.isfinite(found).all():
             return np.nan, np.nan
         signal = found[:, 0, :signals].sum() / len(found)

@@ -113,7 +113,9 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     floor = max(NEGLIGIBLE * median, 1e-12 * level.max())
     reach = np.ceil(np.cbrt(2 * q * level / (np.pi**3 * floor)))
     reach = np.minimum(np.maximum(reach, CORE), max(high, wide)).astype(np.int32)
-    places, image, missing = np.stack([rows, cols], axis=1), np.arange(len(rows)), 0.0
+    places = np.stack([rows, cols], axis=1)
+    image = np.arange(len(rows))
+    missing = 0.0
     if border == "reflect":
         # q / (pi^3 r^3) outside a square of half-width a has the integral 4 sqrt(2) a^-1 of it
         beyond = q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum()

@@ -110,7 +110,8 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
         if not pupil.is_clear_circle:
             panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
             more = (across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max()
-            across, count = LEAST[fast] + int(more), np.count_nonzero(panels > 1e-13) / len(few)
+            across = LEAST[fast] + int(more)
+            count = np.count_nonzero(panels > 1e-13) / len(few)
         budget.need(len(part) * along * across * count)
         return few, (along, across)
 

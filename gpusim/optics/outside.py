@@ -279,14 +279,16 @@ class Outside:
         near = min(self.spread / reach, GEOMETRIC) ** 2
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
         cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
-        rule, tail = rule_of(self.border), self.tail * (1 + near) / (1 - near) ** 2
+        rule = rule_of(self.border)
+        tail = self.tail * (1 + near) / (1 - near) ** 2
         coarse = unseen_light(
             self.image, period, rule, cell, tail, disc, rays=self.rays, straight=self.straight
         )
         rows, cols, sigma = self._probes
         lost = at_samples(coarse, self.image.shape, period, rows, cols) + self.missing
         error = np.abs(lost) / self.level
-        rms, sigmas = float(np.sqrt((error**2).mean())), error / sigma
+        rms = float(np.sqrt((error**2).mean()))
+        sigmas = error / sigma
         return rms, float(np.quantile(sigmas, 0.999)), float(sigmas.max())
 
     def brighter(self, period) -> float:

@@ -153,7 +153,8 @@ def sampling_error(
     """
     if not share @ channels.squares > 0:
         return 0.0
-    waves, optical = _Waves(2.0 if tables is None else float(q.min())), [None] * len(share)
+    waves = _Waves(2.0 if tables is None else float(q.min()))
+    optical = [None] * len(share)
     if tables is not None:
         optical = _channel_optics(waves, weights * channels.means, q, ratio, tables)
     mean = square = np.ones((len(waves.all), len(waves.all)))

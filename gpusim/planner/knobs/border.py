@@ -242,7 +242,8 @@ def surroundings_of(
     reaches = [(height - rows) // 2, (width - cols) // 2]
     if made is not None:
         reaches = [made.overlap, made.overlap]
-    reach, outside = ceil(min(reaches) / question.ratio), _outside(question, picture, None, level)
+    reach = ceil(min(reaches) / question.ratio)
+    outside = _outside(question, picture, None, level)
     return Surroundings(reach, reaches, period, False, outside, level, far, made, question)
 
 
