@@ -101,8 +101,9 @@ class DepthPlan:
         nearer = self.layer < layer
         if not nearer.any():
             return content, self.layer == layer, self.confusion
-        places = {"return_distances": False, "return_indices": True}
-        rows, cols = scipy.ndimage.distance_transform_edt(nearer, **places)
+        rows, cols = scipy.ndimage.distance_transform_edt(
+            nearer, return_distances=False, return_indices=True
+        )
         return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
 
     def shares(self, coverage, confusion):
@@ -174,7 +175,8 @@ def plan_depth(
     if sheets:
         every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets])
     low, high = float(every.min()), float(every.max())
-    power, change = float(np.mean(light**2)) or 1.0, 0.0
+    power = float(np.mean(light**2)) or 1.0
+    change = 0.0
     for axis in (0, 1):
         if light.shape[axis] > 1:
             change += float(np.mean(np.diff(light, axis=axis) ** 2))
@@ -197,13 +199,14 @@ def plan_depth(
         "depth, kernels between those computed": float(contrast * _remainder(nodes, every, q)),
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
-    kernels = distance_of(optics, nodes, pitch), nodes, confusion
+    distances = distance_of(optics, nodes, pitch)
     if sheets:
         predicted["depth, in layers that are given"] = edges.given_error(light, power)
         predicted["depth, if without layers"] = plain
-        layer, count = np.zeros(light.shape, np.uint8), len(sheets)
+        layer = np.zeros(light.shape, np.uint8)
+        count = len(sheets)
         model = f"{count} layers that are given; {span}"
-        return DepthPlan(*kernels, layer, count, model, predicted, sheets)
+        return DepthPlan(distances, nodes, confusion, layer, count, model, predicted, sheets)
     cuts = edges.choose_cuts(low, high, tolerance**2 * power * light.size)
     in_layers = edges.layered_error(cuts, light, power)
     if layered is None:
@@ -220,7 +223,7 @@ def plan_depth(
         model = f"by depth, without layers; {span}"
         predicted["depth, occlusion left out"] = plain
         predicted["depth, if in layers"] = in_layers
-    return DepthPlan(*kernels, layer, count, model, predicted)
+    return DepthPlan(distances, nodes, confusion, layer, count, model, predicted)
 
 
 def _sheets(scene, optics, pitch):

@@ -31,10 +31,11 @@ class Edges:
         pairs = []
         for before, after in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
             unequal = confusion[before] != confusion[after]
-            one, other = confusion[before][unequal], confusion[after][unequal]
-            two, its = light[before][unequal], light[after][unequal]
-            nearer = np.where(one > other, [other, one, its, two], [one, other, two, its])
-            pairs.append(nearer)
+            first, second = confusion[before][unequal], confusion[after][unequal]
+            light_first, light_second = light[before][unequal], light[after][unequal]
+            in_order = [first, second, light_first, light_second]
+            swapped = [second, first, light_second, light_first]
+            pairs.append(np.where(first > second, swapped, in_order))
         lags = [2**k for k in range(12) if 2**k < max(light.shape)]
         return cls(
             *np.concatenate(pairs, axis=1),

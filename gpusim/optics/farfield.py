@@ -374,8 +374,8 @@ def axes(shape, sigmas, border: str, spacings: float = SPACINGS) -> list[Axis]:
     limits = LEAST_SPACINGS * spacings * widest * COARSER ** np.arange(1, levels)
     ends = *np.searchsorted(sigmas, limits).tolist(), len(sigmas)
     (rows, cols), (down, across) = shape, coarse.tolist()
-    rest = tuple(sigmas), ends, border
-    return [Axis(rows, down, *rest), Axis(cols, across, *rest)]
+    sigmas = tuple(sigmas)
+    return [Axis(rows, down, sigmas, ends, border), Axis(cols, across, sigmas, ends, border)]
 
 
 @lru_cache(maxsize=512)

@@ -174,7 +174,8 @@ def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat
     if flat:
         rows, cols = (one.dense(at) for one, at in zip(axes, flat.axes, strict=True))
         wrong = flat.error(kernels, _window_maps(rows, cols))
-    maps, error = partial(_window_maps, along_y, along_x), image_error(mixed, wanted)
+    maps = partial(_window_maps, along_y, along_x)
+    error = image_error(mixed, wanted)
     cost = _cost(edges, reach, terms)
     return FieldBlur("overlap-add", maps, kernels, index, edges, error, terms, cost, wrong)
 
@@ -299,9 +300,17 @@ def eigen_kernels(
     reach = mean.shape[-1] // 2
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
     maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
-    kernels, index = np.concatenate([mean[None], basis[: terms - 1]]), np.arange(terms)[None]
-    figures = error(terms), terms, _cost(edges, reach, terms), flat_error(terms)
-    return FieldBlur("eigen-kernels", maps, kernels, index, edges, *figures)
+    return FieldBlur(
+        "eigen-kernels",
+        maps,
+        np.concatenate([mean[None], basis[: terms - 1]]),
+        np.arange(terms)[None],
+        edges,
+        error(terms),
+        terms,
+        _cost(edges, reach, terms),
+        flat_error(terms),
+    )
 
 
 def _sample_places(shape, samples=SAMPLES):
@@ -445,7 +454,7 @@ def _interpolate(nodes, vectors, rows, cols, grid=True):
     """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
     counts = len(nodes[0]), len(nodes[1])
     shape = (len(rows), len(cols)) if grid else (len(rows),)
-    degrees = {"kx": min(3, counts[0] - 1), "ky": min(3, counts[1] - 1)}
+    degrees = min(3, counts[0] - 1), min(3, counts[1] - 1)
     out = np.empty((vectors.shape[1], *shape))
     for k, values in enumerate(vectors.T):
         if max(counts) == 1:
@@ -453,8 +462,9 @@ def _interpolate(nodes, vectors, rows, cols, grid=True):
         elif min(counts) == 1:
             out[k] = np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len), values)
         else:
-            given = *nodes, values.reshape(counts)
-            spline = scipy.interpolate.RectBivariateSpline(*given, **degrees)
+            spline = scipy.interpolate.RectBivariateSpline(
+                *nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1]
+            )
             out[k] = spline(rows, cols, grid=grid)
     return out
 
@@ -541,7 +551,8 @@ class Differences:
                 f"{shift:.3g} pixels at the frame's corner",
                 f"up to {WIDEST_SHIFT} pixels; or a coarser pixel",
             )
-        middle, size = [self.nodes[len(self.nodes) // 2]], max(SIZES[-1], least)
+        middle = [self.nodes[len(self.nodes) // 2]]
+        size = max(SIZES[-1], least)
         whole = self.lens.kernels(middle, corner, size)
         axis = self.lens.kernels(middle, (0.0, 0.0), size)
         for size in SIZES:

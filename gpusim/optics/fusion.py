@@ -106,8 +106,14 @@ class Response:
         power = count / power / period**2
         share = np.bincount(np.ravel(cfa), minlength=len(weights)) / np.size(cfa)
         tables = tables.reshape(len(tables), -1)
-        power, count = np.tile(power.ravel(), places), np.tile(count.ravel(), places)
-        return cls(weights, weights * np.real(tables[:, :1].T), share, tables, power, count)
+        return cls(
+            weights,
+            weights * np.real(tables[:, :1].T),
+            share,
+            tables,
+            np.tile(power.ravel(), places),
+            np.tile(count.ravel(), places),
+        )
 
     def channel(self, c) -> "Response":
         """Return the response of channel c only."""
@@ -134,8 +140,9 @@ class Response:
         in each channel, shape (C, planes, L).
         """
         wrong, differences = self.excess(table, transfers), spectra.differences
-        terms = wrong, self.optical, wrong, differences
-        error = np.einsum("clm,ln,cno,mo->c", *terms, optimize=True)
+        error = np.einsum(
+            "clm,ln,cno,mo->c", wrong, self.optical, wrong, differences, optimize=True
+        )
         signal = np.einsum("cl,lm,cm->c", self.flat, spectra.values, self.flat)
         total = self.share @ signal
         return float(np.sqrt(max(self.share @ error, 0.0) / total)) if total > 0 else 0.0
@@ -201,7 +208,8 @@ def _labelled_moments(ids, shading, entries, weight):
 
     def products(a, b):
         """Sums of products of two entries at two places: slices of rows and columns."""
-        both, values = ids[a] * count + ids[b], weight[:, None] * (shading[a] * shading[b])
+        both = ids[a] * count + ids[b]
+        values = weight[:, None] * (shading[a] * shading[b])
         sums = np.bincount(both.ravel(), values.ravel(), count**2)
         return sums.reshape(count, count) / both.size
 
@@ -365,8 +373,8 @@ class Watch:
         seen: Weights of the squares of the projections by `flat` in |P d|^2, shape (up to 8,).
         beside: |R^1/2 P| and |R^1/2 Q|, over coefficients.
         first: Upper rows of the pairs to survey, int32 (n,).
-        inputs: Planes from spectra, shape (planes, L). The plan's table gives the same planes
-            from entries.
+        inputs: Planes from spectra, shape (planes, L). The plan's `Planes` give the
+            same from entries.
         factor: Correction of the error, measured by probes of the plan's scene.
         falls: Part of the square of each row of B that remains with one plane more, two more
             and so on, shape (up to 15,) each.
@@ -400,7 +408,8 @@ class Watch:
             content: The content.
             shape: Rows and columns of the samples that are surveyed; by default all.
         """
-        entries, signal = content.entry_spectra, (response.flat.T * response.share) @ response.flat
+        entries = content.entry_spectra
+        signal = (response.flat.T * response.share) @ response.flat
         flat, _, _ = _rows(signal, content, min(FLAT_ROWS, len(response.flat)))
         count = WRONG_ROWS if len(table) <= FEW else ALL_ROWS - len(flat)
         wrong, left, rest = _rows(wrong_moments(response, table, transfers), content, count)
@@ -411,7 +420,8 @@ class Watch:
         along = rest @ there.T
         beside = float(np.linalg.norm(along, 2)), float(np.linalg.norm(rest - along @ there, 2))
         first = row_pairs(*(content.shape if shape is None else shape)).astype(np.int32)
-        projections, table = projections.astype(np.float32), np.asarray(table)
+        projections = projections.astype(np.float32)
+        table = np.asarray(table)
         return cls(flat, wrong, left, projections, seen**2, beside, first, table)
 
     @classmethod
@@ -455,7 +465,8 @@ class Watch:
         Args:
             survey: Result of `spectral.survey`, shape (n, 3, P + 1).
         """
-        found, signals = self._in_content_units(survey), len(self.flat)
+        found = self._in_content_units(survey)
+        signals = len(self.flat)
         if not np.isfinite(found).all():
             return np.nan, np.nan
         signal = found[:, 0, :signals].sum() / len(found)
@@ -479,10 +490,9 @@ class Watch:
         error |b|^2 of M.
         """
         size = np.maximum(np.sum(self.wrong**2, axis=1), 1e-150)  # its square is no 0
-        falls = []
-        for more in moments:
-            falls.append(np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2)
-        return tuple(falls)
+        return tuple(
+            np.einsum("pl,lm,pm->p", self.wrong, more, self.wrong) / size**2 for more in moments
+        )
 
     def count_missing_planes(self, survey) -> int:
         """Return the number of additional planes with which the error of a content is within the limit.

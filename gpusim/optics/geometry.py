@@ -174,8 +174,8 @@ def interpolation_error(
     """
     phases = np.full((PHASES, PHASES), PHASES**-2.0) if phases is None else phases
     along_y, along_x = _interpolated_waves(fy, width), _interpolated_waves(fx, width)
-    powers = np.abs(along_y) ** 2, np.abs(along_x) ** 2
-    square = np.einsum("ab,af,bg->fg", phases, *powers, optimize=True)
+    power_y, power_x = np.abs(along_y) ** 2, np.abs(along_x) ** 2
+    square = np.einsum("ab,af,bg->fg", phases, power_y, power_x, optimize=True)
     mean = np.einsum("ab,af,bg->fg", phases, along_y, along_x, optimize=True)
     return np.maximum(square - 2 * mean.real + 1, 0)
 
@@ -234,11 +234,11 @@ def place_phases(distortion: DistortionGrid, shape) -> tuple[np.ndarray, np.ndar
     """
     pixels = [np.unique(np.linspace(0, n - 1, min(n, MOST_PLACES)).astype(int)) for n in shape]
     edges = _edges(shape, distortion.nodes.shape[:2])
-    at = []
-    for axis in (0, 1):
-        places = scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])
-        at.append(places(*pixels) % 1 * PHASES)
-    down, across = at
+    splines = [
+        scipy.interpolate.RectBivariateSpline(*edges, distortion.nodes[..., axis])
+        for axis in (0, 1)
+    ]
+    down, across = (spline(*pixels) % 1 * PHASES for spline in splines)
     parts = [
         _shares(down[rows, cols], across[rows, cols])
         for cols in _parts(len(pixels[1]))

@@ -105,22 +105,32 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     if left.ndim > 1:
         left = np.where(stored == 0, 0, left).max(axis=0)
     strength = strength * (1 - left)
-    brightness[rows, cols], residue = median, 0.0
+    brightness[rows, cols] = median
+    residue = 0.0
     if len(bright) > len(chosen):
         residue = _transform_error(brightness, max(median, 1e-38))
     # beyond r pixels an Airy pattern stays below 2 q / (pi^3 r^3) a pixel (the envelope of its rings)
     floor = max(NEGLIGIBLE * median, 1e-12 * level.max())
     reach = np.ceil(np.cbrt(2 * q * level / (np.pi**3 * floor)))
     reach = np.minimum(np.maximum(reach, CORE), max(high, wide)).astype(np.int32)
-    places, image, missing = np.stack([rows, cols], axis=1), np.arange(len(rows)), 0.0
+    places = np.stack([rows, cols], axis=1)
+    image = np.arange(len(rows))
+    missing = 0.0
     if border == "reflect":
         # q / (pi^3 r^3) outside a square of half-width a has the integral 4 sqrt(2) a^-1 of it
         beyond = q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum()
         missing = float(beyond / brightness.size)
         for axis, n in enumerate((high, wide)):
             places, image = _mirror(places, image, axis, n, reach)
-    points = places - margin, light[image].astype(np.int32), strength[image]
-    return rest, Highlights(*points, spectra, reach[image], residue, missing)
+    return rest, Highlights(
+        places - margin,
+        light[image].astype(np.int32),
+        strength[image],
+        spectra,
+        reach[image],
+        residue,
+        missing,
+    )
 
 
 def _mirror(places, image, axis, n, reach):

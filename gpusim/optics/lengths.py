@@ -59,7 +59,8 @@ class Tiling:
         return (
             0 < self.valid <= self.side <= LONGEST
             and 6**6 % self.side == 0  # a product of 2 and 3
-            and self.side % (LANES * both) == 0 == self.valid % both
+            and self.side % (LANES * both) == 0
+            and self.valid % both == 0
         )
 
     def samples(self, shape) -> int:

@@ -334,9 +334,17 @@ class PupilLens(_OnGrid):
             return stages.airy(q, self.aperture, rows, cols)
         optics, (down, across) = self.optics, self.optics.birefringence
         waves = optics.waves(self.nanometres(q), distance=distance)
-        spots, diffuser = (down / self.pitch, across / self.pitch), optics.diffuser / self.pitch
-        softened = {"spots": spots, "diffuser": diffuser, "displacement": self.displacement}
-        return stages.pupil(optics.pupil, waves, q, self.aperture, rows, cols, **softened)
+        return stages.pupil(
+            optics.pupil,
+            waves,
+            q,
+            self.aperture,
+            rows,
+            cols,
+            spots=(down / self.pitch, across / self.pitch),
+            diffuser=optics.diffuser / self.pitch,
+            displacement=self.displacement,
+        )
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
@@ -368,12 +376,14 @@ class PupilLens(_OnGrid):
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         out = np.empty((len(q), size, size))
         down, across = optics.birefringence
-        samples = size, self.aperture, (down / self.pitch / 2, across / self.pitch / 2)
+        spots = down / self.pitch / 2, across / self.pitch / 2
         for kernel, one_q, wave, shift in zip(out, q, waves, shifts, strict=True):
-            kernel[:] = pupil_kernel(optics.pupil, wave, one_q, shift, *samples)
+            kernel[:] = pupil_kernel(optics.pupil, wave, one_q, shift, size, self.aperture, spots)
             if optics.diffuser:
-                softness, spectrum = optics.diffuser / self.pitch, np.fft.fft2(kernel)
-                kernel[:] = np.fft.ifft2(scipy.ndimage.fourier_gaussian(spectrum, softness)).real
+                spectrum = scipy.ndimage.fourier_gaussian(
+                    np.fft.fft2(kernel), optics.diffuser / self.pitch
+                )
+                kernel[:] = np.fft.ifft2(spectrum).real
         return out
 
     def _colour_shifts(self, wavelengths, place):
@@ -451,13 +461,23 @@ class MeasuredLens(_OnGrid):
         """See `Lens`."""
         _require_no_distance(distance)
         finest = float(q.min()) * self.pitch / 2 if stages.whole else 0.0
-        fit = {"finest": finest, "whole": stages.whole}
-        return stages.given(self._tables(self.nanometres(q), rows, cols, **fit))
+        wavelengths = self.nanometres(q)
+        return stages.given(
+            self._tables(wavelengths, rows, cols, finest=finest, whole=stages.whole)
+        )
 
-    def _tables(self, wavelengths, rows, cols, **how):
-        """Transfer tables of the point spreads, see `psf_tables`."""
-        grid, displaced = (self.pitch, self.aperture, rows, cols), self.displacement
-        return psf_tables(self.spread_data, wavelengths, *grid, displacement=displaced, **how)
+    def _tables(self, wavelengths, rows, cols, **options):
+        """Transfer tables of the point spreads, see `psf_tables` for the options."""
+        return psf_tables(
+            self.spread_data,
+            wavelengths,
+            self.pitch,
+            self.aperture,
+            rows,
+            cols,
+            displacement=self.displacement,
+            **options,
+        )
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`. Between its wavelengths a measured point spread is linear."""

@@ -110,7 +110,8 @@ def transfer(pupil: Pupil, waves, sx, sy, error=EXACT, fast=False):
         if not pupil.is_clear_circle:
             panels = np.diff(_panels(pupil, s[few], angle[few], _faces(pupil, angle[few])), axis=1)
             more = (across - LEAST[fast]) * panels.max() / panels.sum(axis=1).max()
-            across, count = LEAST[fast] + int(more), np.count_nonzero(panels > 1e-13) / len(few)
+            across = LEAST[fast] + int(more)
+            count = np.count_nonzero(panels > 1e-13) / len(few)
         budget.need(len(part) * along * across * count)
         return few, (along, across)
 
@@ -344,18 +345,20 @@ def phases(s, angle, form, steps):
 
 def difference(shapes, s, angle, u, v):
     """W(r + s) - W(r - s) [waves] of every shape at u along s and v across it; shape (R, *u.shape)."""
-    cos, sin, plus, minus = np.cos(angle), np.sin(angle), u + s, u - s
+    cos, sin = np.cos(angle), np.sin(angle)
+    plus, minus = u + s, u - s
     first = _wavefronts(shapes, cos * plus - sin * v, sin * plus + cos * v)
     return first - _wavefronts(shapes, cos * minus - sin * v, sin * minus + cos * v)
 
 
 def _wavefronts(shapes, x, y):
     """Polynomials `shapes` (R, n, n) of x^i y^j at every point, (R, *x.shape)."""
-    order, shape, x, y = shapes.shape[-1], x.shape, x.ravel(), y.ravel()
+    order, shape = shapes.shape[-1], x.shape
+    x, y = x.ravel(), y.ravel()
     out = np.empty((len(shapes), len(x)))
     size = UNTHREADED // (max(len(shapes), 1) * order**2)
-    for k in range(0, len(x), size):
-        piece = slice(k, k + size)
+    for start in range(0, len(x), size):
+        piece = slice(start, start + size)
         powers = np.ones((order, len(x[piece])))
         for k in range(1, order):
             np.multiply(powers[k - 1], y[piece], out=powers[k])

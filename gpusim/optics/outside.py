@@ -124,9 +124,8 @@ def _cells(shape, cell):
 
 def _coarse(image, period, cells, border, wide):
     """Means over the cells of a world of `wide` periods, (rows, cols)."""
-    kind = border, wide, image.dtype
-    down = _means(image.shape[0], period[0], cells[0], *kind)
-    across = _means(image.shape[1], period[1], cells[1], *kind)
+    down = _means(image.shape[0], period[0], cells[0], border, wide, image.dtype)
+    across = _means(image.shape[1], period[1], cells[1], border, wide, image.dtype)
     return (across @ (down @ image).T).T
 
 
@@ -143,9 +142,11 @@ def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
 def _spline_weights(count, places):
     """Weights of the coefficients of a periodic cubic spline through `count` cells, at places."""
     places = np.frombuffer(places)[None]
-    cells, how = np.eye(count), {"order": 3, "mode": "grid-wrap", "prefilter": False}
-    found = [scipy.ndimage.map_coordinates(cell, places, **how) for cell in cells]
-    return scipy.sparse.csr_array(np.stack(found, axis=1))
+    weights = [
+        scipy.ndimage.map_coordinates(cell, places, order=3, mode="grid-wrap", prefilter=False)
+        for cell in np.eye(count)
+    ]
+    return scipy.sparse.csr_array(np.stack(weights, axis=1))
 
 
 def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float, float]:
@@ -278,13 +279,16 @@ class Outside:
         near = min(self.spread / reach, GEOMETRIC) ** 2
         disc = self.spread if self.spread > GEOMETRIC * reach else 0.0
         cell = max(min(reach / (LINE_CELLS if self.rays else CELLS), max(period) / LEAST_CELLS), 1)
-        rule, tail = rule_of(self.border), self.tail * (1 + near) / (1 - near) ** 2
-        lines: Any = {"rays": self.rays, "straight": self.straight}
-        coarse = unseen_light(self.image, period, rule, cell, tail, disc, **lines)
+        rule = rule_of(self.border)
+        tail = self.tail * (1 + near) / (1 - near) ** 2
+        coarse = unseen_light(
+            self.image, period, rule, cell, tail, disc, rays=self.rays, straight=self.straight
+        )
         rows, cols, sigma = self._probes
         lost = at_samples(coarse, self.image.shape, period, rows, cols) + self.missing
         error = np.abs(lost) / self.level
-        rms, sigmas = float(np.sqrt((error**2).mean())), error / sigma
+        rms = float(np.sqrt((error**2).mean()))
+        sigmas = error / sigma
         return rms, float(np.quantile(sigmas, 0.999)), float(sigmas.max())
 
     def brighter(self, period) -> float:
@@ -305,8 +309,15 @@ class Outside:
         """
         if inner in self._windows:
             return self._windows[inner]
-        how = {"side": WINDOW, "rim": (WINDOW - inner) // 2, "beside": 1}
-        windows = Windows.of(self.image, self.margin, self.border, WINDOWS, **how)
+        windows = Windows.of(
+            self.image,
+            self.margin,
+            self.border,
+            WINDOWS,
+            side=WINDOW,
+            rim=(WINDOW - inner) // 2,
+            beside=1,
+        )
         (rows, cols), rule = self.image.shape, rule_of(self.border)
         y, x = border_indices(windows.rows, rows, rule), border_indices(windows.cols, cols, rule)
         light = self.image[y[:, :, None], x[:, None, :]].astype(np.float32)

@@ -96,7 +96,8 @@ def _derivatives(wave):
 
 def mean_slopes(outline: Pupil, waves) -> np.ndarray:
     """Return the wavefronts' mean slopes over the open pupil along y and x [waves per radius], (L, 2)."""
-    means, slopes = _mean_powers(outline, waves.shape[1]), np.empty((len(waves), 2))
+    means = _mean_powers(outline, waves.shape[1])
+    slopes = np.empty((len(waves), 2))
     for slope, wave in zip(slopes, waves, strict=True):
         along_x, along_y = _derivatives(wave)
         slope[:] = np.vdot(along_y, means[:, :-1]), np.vdot(along_x, means[:-1])

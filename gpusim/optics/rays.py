@@ -80,7 +80,9 @@ def _rays(outline, values, shape, range_, error):
                 table = _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector)
             table[:, :, 0] = 1
             table = np.concatenate([table, table[:, :1].conj()], axis=1)
-            along, across, turned = cubic_error(table), 0.0, np.moveaxis(table, 1, -1)
+            along = cubic_error(table)
+            across = 0.0
+            turned = np.moveaxis(table, 1, -1)
             for k in range(0, sectors * per_sector, per_sector):
                 across = max(across, cubic_error(turned[..., k : k + per_sector + 1]))
             if max(along, across) <= error:

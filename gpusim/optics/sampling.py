@@ -153,7 +153,8 @@ def sampling_error(
     """
     if not share @ channels.squares > 0:
         return 0.0
-    waves, optical = _Waves(2.0 if tables is None else float(q.min())), [None] * len(share)
+    waves = _Waves(2.0 if tables is None else float(q.min()))
+    optical = [None] * len(share)
     if tables is not None:
         optical = _channel_optics(waves, weights * channels.means, q, ratio, tables)
     mean = square = np.ones((len(waves.all), len(waves.all)))
@@ -163,11 +164,13 @@ def sampling_error(
         mean_x, square_x = _mean_response(cols, waves.all)
         mean, square = mean_y[:, None] * mean_x, square_y[:, None] * square_x
     error = 0.0
-    how = ratio, aperture, mean, square, displacement
     for channel, part in enumerate(share):
-        per_jump, per_change = _unit_errors(optical[channel], waves, *how)
-        own = per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
-        error += part * own
+        per_jump, per_change = _unit_errors(
+            optical[channel], waves, ratio, aperture, mean, square, displacement
+        )
+        error += part * (
+            per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
+        )
     return float(np.sqrt(error / (share @ channels.squares)))
 
 

@@ -61,9 +61,9 @@ class _OnHost:
 
     def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
         """See `Stages`."""
-        even, softened = symmetric(outline, waves), (spots, diffuser, displacement)
+        even, q = symmetric(outline, waves), np.asarray(q, np.float32)
         otfs = _along_rays(outline, waves, even)
-        return _fold(otfs, even, np.asarray(q, np.float32), aperture, rows, cols, *softened)
+        return _fold(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement)
 
     def given(self, tables):
         """See `Stages`."""
@@ -110,8 +110,17 @@ class Tables:
             finer: Samples per pixel.
             displacement: Displacement of the apertures from the samples [sample].
         """
-        lens, grid = (self._optics, self._pitch / finer), (q, aperture, rows, cols, displacement)
-        return self._cache(f"sampled {rows}x{cols} {finer:g}", sample_lens, *lens, *grid)
+        return self._cache(
+            f"sampled {rows}x{cols} {finer:g}",
+            sample_lens,
+            self._optics,
+            self._pitch / finer,
+            q,
+            aperture,
+            rows,
+            cols,
+            displacement,
+        )
 
     def even(self, q, aperture, period, finer, displacement) -> np.ndarray:
         """Return tables of a square period: real quarters, or complex halves (L, period, period // 2 + 1)."""
@@ -125,8 +134,9 @@ def field_tables(lens, wavelengths, places, period: int) -> np.ndarray:
     """Return transfer tables of a lens at places of the field, of a square period, as `Response.of` takes them."""
     chosen, between = wavelength_nodes(wavelengths)
     size = max(period - 1, lens.least_size)
-    own = [np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places]
-    kernels = np.stack(own, axis=1)
+    kernels = np.stack(
+        [np.tensordot(between, lens.kernels(chosen, place, size), 1) for place in places], axis=1
+    )
     kernels /= kernels.sum(axis=(2, 3), keepdims=True)
     whole = np.zeros((*kernels.shape[:-2], period, period))  # kernels are wrapped into the period
     at = (np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2) % period
@@ -180,12 +190,12 @@ def pupil(
 ):
     """See the stage `optics.pupil`: a sum over the replicas (a, b) within the cut-off."""
     waves = np.asarray(waves, np.float64)
-    even, softened = symmetric(outline, waves), (spots, diffuser, displacement)
+    even = symmetric(outline, waves)
     high = rows // 2 + 1 if even and not any(displacement) else rows
     few = len(q) * high * (cols // 2 + 1) < FEW
     value = _integral if few else _spline_radial if even else _spline_polar
     otfs = (value(outline, wave[None]) for wave in waves)
-    return _fold(otfs, even, q, aperture, rows, cols, *softened)
+    return _fold(otfs, even, q, aperture, rows, cols, spots, diffuser, displacement)
 
 
 class _Exact(_OnHost):
@@ -280,11 +290,14 @@ def _through_rays(outline, table, first, sectors):
     sides, inner = outline.cutoff
     size = (table.shape[0] - 1) // sectors
     rays, nodes = np.linspace(0, sectors, sectors * size + 1), np.linspace(0, 1, table.shape[1])
-    spline, splines = scipy.interpolate.RectBivariateSpline, []
+    splines = []
     for k in range(sectors):
-        own = slice(k * size, (k + 1) * size + 1)
-        real, imaginary = table.real[own], table.imag[own]
-        splines.append((spline(rays[own], nodes, real), spline(rays[own], nodes, imaginary)))
+        sector = slice(k * size, (k + 1) * size + 1)
+        real, imaginary = (
+            scipy.interpolate.RectBivariateSpline(rays[sector], nodes, part[sector])
+            for part in (table.real, table.imag)
+        )
+        splines.append((real, imaginary))
 
     def otf(sx, sy):
         s, half_turns = np.hypot(sx, sy), (np.arctan2(sy, sx) - first) / np.pi

@@ -50,7 +50,8 @@ class Windows:
             energy = scipy.ndimage.uniform_filter(energy, 2 * beside + 1, mode="constant")
         drawn, weight = _draw(energy.ravel(), count)
         y, x = np.unravel_index(drawn, energy.shape)
-        at, seen = margin - rim + np.arange(side), largest[y, x].max()
+        at = margin - rim + np.arange(side)
+        seen = largest[y, x].max()
         steepest = float(largest.max() / seen) if seen > 0 else 1.0
         rows, cols = starts[0][y, None] + at, starts[1][x, None] + at
         return cls(rows, cols, weight / weight.sum(), steepest)
@@ -110,7 +111,8 @@ def _draw(energy, count):
         return np.arange(len(energy)), np.ones(len(energy))
     certain = np.zeros(len(energy), bool)
     while True:
-        others, left = np.where(certain, 0.0, energy), np.count_nonzero(~certain)
+        others = np.where(certain, 0.0, energy)
+        left = np.count_nonzero(~certain)
         chance = (1 - EDGES) / left + EDGES * others / max(others.sum(), 1e-300)
         share = chance / chance[~certain].sum()
         expected = np.where(certain, 1.0, share * (count - np.count_nonzero(certain)))
@@ -128,7 +130,8 @@ def quantile(values, weight, part):
     """
     above = (1 - part) * weight.sum() * values[0, 0].size
     least = _level_above(values.max(axis=-1), weight[..., None], above)
-    some, weight = values >= least, np.broadcast_to(weight[..., None, None], values.shape)
+    some = values >= least
+    weight = np.broadcast_to(weight[..., None, None], values.shape)
     return float(_level_above(values[some], weight[some], above))
 
 

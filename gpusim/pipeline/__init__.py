@@ -3,6 +3,5 @@
 from collections.abc import Callable
 from types import ModuleType
 
-load_truth: Callable[
-    [], ModuleType
-]  # returns `gpusim.judge.truth`, a package above; `gpusim` sets it
+# returns `gpusim.judge.truth`, a package above this one; `gpusim` sets it
+load_truth: Callable[[], ModuleType]

@@ -121,7 +121,9 @@ class Batch:
 
     def _frames(self, rows):
         """Return a frame of each scene with its camera, exposure time, gain, seed and number."""
-        device, frames, plans = self._simulator.device, [], []
+        device = self._simulator.device
+        frames = []
+        plans = []
         for item, (scene, camera, seconds, gain, seed, number) in enumerate(rows):
             loop = self._loop(item, scene, camera)
             loop.update(scene=scene, exposure_time=seconds, gain=gain)

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import prod
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -35,8 +34,6 @@ from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
-# of a rendering: the camera values of white; the colour matrix with its ceiling
-NEUTRAL, COLORS = attrgetter("neutral"), attrgetter("display_from_camera", "ceiling")
 CLIPPED = 0.95  # share of saturation: values interpolated next to a clipped pixel lie just below it
 
 
@@ -114,13 +111,13 @@ class Developer:
         numbers = self._correct(chain, pixels)
         self._demosaic(chain, numbers, pixels)
         steps = [
-            Step("neutral", "", ("rendering",), run=NEUTRAL, rate=Rate.EXPOSURE),
+            Step("neutral", "", ("rendering",), run=neutral_of, rate=Rate.EXPOSURE),
             *chain.end(),
         ]
         if processor.estimates_white:
             steps.append(self._white_step())
         # not the whole rendering, which changes with every exposure
-        steps.append(Step("colors", "", (rendering_name(camera),), run=COLORS, rate=Rate.FRAME))
+        steps.append(Step("colors", "", (rendering_name(camera),), run=colors_of, rate=Rate.FRAME))
         area = pixels // (len(camera.sensor.channels) if camera.sensor.stacked else 1)
         chain = Chain("camera", "linear", Rate.FRAME, device)
         chain.add(
@@ -345,7 +342,7 @@ class Developer:
 
     def apply_color(self, planes, rendering: Rendering) -> Any:
         """Return linear display RGB (3, rows, cols), before the tone curve."""
-        return apply_colors(planes, COLORS(rendering), device=self.device)
+        return apply_colors(planes, colors_of(rendering), device=self.device)
 
     def encode(self, linear_rgb) -> Any:
         """Return display codes (rows, cols, 3) of linear display RGB."""
@@ -414,6 +411,16 @@ def balance_of(white, places) -> tuple[float, float]:
     # limits the gain of a channel that hardly responds to white
     least, most = green / MOST_BALANCE, green * MOST_BALANCE
     return green / min(max(red, least), most), green / min(max(blue, least), most)
+
+
+def neutral_of(rendering: Rendering) -> np.ndarray:
+    """Return the camera values of white."""
+    return rendering.neutral
+
+
+def colors_of(rendering: Rendering) -> tuple:
+    """Return a rendering's colour matrix and ceiling."""
+    return rendering.display_from_camera, rendering.ceiling
 
 
 def rendering_name(camera: Camera) -> str:

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import prod
-from operator import attrgetter
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -87,15 +86,19 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
             run=read_mean,
         ),
     ]
-    known = {*map(attrgetter("output"), steps)}
+    known = {step.output for step in steps}
     response = "response" if "response" in known and sensor.noise.dead_pixels else ""
     dark = "dark" if "dark" in known else ""
     if processor.defects != "known" or not (response or dark):
         return [*steps, Step("defects", "", run=return_none, rate=Rate.EXPOSURE)]
-    form = {"binning": sensor.binning, "stride": readout.stride, "device": simulator.device}
-    numbers = ("hot_electrons", "dark_time")
     flags = Step(
-        "defects", "", (response, dark), form, numbers, rate=Rate.EXPOSURE, run=flag_pixels
+        "defects",
+        "",
+        (response, dark),
+        {"binning": sensor.binning, "stride": readout.stride, "device": simulator.device},
+        ("hot_electrons", "dark_time"),
+        rate=Rate.EXPOSURE,
+        run=flag_pixels,
     )
     return [*steps, flags]
 
@@ -476,7 +479,8 @@ class _Shot(Parts):
         return value
 
     def _report(self, rendering):
-        exposure, times, error = self.exposure, self.ms, self.error
+        """Return the report. All other parts are computed."""
+        exposure, times = self.exposure, self.ms
         simulator, camera = exposure.simulator, exposure.camera
         plan, scene = exposure.plan, exposure.plan.scene
         words = {step.stage: step.words for step in self.values.steps.values() if step.words}
@@ -494,32 +498,9 @@ class _Shot(Parts):
             for name in order
             if name in models or name in times
         ]
-        white = ", saturation is display white" if camera.processor.scaling == "normalised" else ""
         unbinned = replace(simulator.camera.sensor, analog_gain=camera.sensor.analog_gain)
         account = plan.account.at(exposure.exposure_time)
         verdict = plan.verdict and account.verdict(simulator.tolerance, plan.verdict.remedy)
-        notes = (
-            []
-            if scene.light_is_known
-            else [
-                "the scene's light is unknown: colours are rendered for "
-                f"{camera.processor.target}{white}"
-            ]
-        )
-        notes += scene.notes
-        if plan.planned_for:
-            notes.append(
-                f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "
-                f"{plan.watched} are for that scene"
-            )
-        if plan.given_of:
-            notes.append(
-                f"the plan was given and made for {plan.given_of}: all predicted errors are for this scene"
-            )
-        if plan.probed:
-            notes.append(f"probes: {plan.probed}")
-        if error is not None and error.places:
-            notes.append(f"the true error is for {error.places}")
         return Report(
             {
                 "name": scene.name,
@@ -548,13 +529,38 @@ class _Shot(Parts):
             account,
             plan.beside,
             plan.left_out,
-            error,
+            self.error,
             simulator.tolerance,
-            notes,
+            self._notes(),
             verdict,
             self.wall_ms,
             plan.name,
         )
+
+    def _notes(self):
+        """Return the report's notes on the scene, the plan and the true error."""
+        plan, processor = self.exposure.plan, self.exposure.camera.processor
+        notes = []
+        if not plan.scene.light_is_known:
+            white = ", saturation is display white" if processor.scaling == "normalised" else ""
+            notes.append(
+                f"the scene's light is unknown: colours are rendered for {processor.target}{white}"
+            )
+        notes += plan.scene.notes
+        if plan.planned_for:
+            notes.append(
+                f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "
+                f"{plan.watched} are for that scene"
+            )
+        if plan.given_of:
+            notes.append(
+                f"the plan was given and made for {plan.given_of}: all predicted errors are for this scene"
+            )
+        if plan.probed:
+            notes.append(f"probes: {plan.probed}")
+        if self.error is not None and self.error.places:
+            notes.append(f"the true error is for {self.error.places}")
+        return notes
 
 
 def merge_names(order: list[str], names) -> list[str]:

@@ -352,9 +352,9 @@ class Readout:
             OutOfRange: The seed or a number is not allowed.
         """
         device, drawing = self.device, self._drawing
-        of = chip_mean, exposure_time, gain
+        computation = chip_mean, exposure_time, gain
         numbers: dict[str, float] = {"seed": seed, "frame": first}
-        if frames is None and drawing.of and all(map(is_, drawing.of, of)):
+        if frames is None and drawing.of and all(map(is_, drawing.of, computation)):
             # only the kernel runs again, with other numbers and another array
             raw = device.empty(drawing.raw.shape, drawing.raw.dtype)
             tape = drawing.tape
@@ -382,7 +382,7 @@ class Readout:
             each = [device.part(raw, number) for number in range(raw.shape[0])]
             return device.stack([self._bin(one, average=True) for one in each])
         if frames is None and device.kind != "numpy" and isinstance(chip_mean, device.array_type):
-            drawing.of, drawing.raw = of, drawing.tape.commands[-1].args[OUT]
+            drawing.of, drawing.raw = computation, drawing.tape.commands[-1].args[OUT]
         return raw
 
     def draw_electrons(

@@ -67,7 +67,8 @@ class Stream(Iterator):
         self._frames.close()
 
     def _generate(self, simulator, scenes, output, seed, first):
-        uploaded, loop = _upload_scenes(simulator.device, map(checked_scene, scenes)), None
+        uploaded = _upload_scenes(simulator.device, map(checked_scene, scenes))
+        loop = None
         try:
             for number, scene in enumerate(uploaded, first):
                 loop = (

@@ -145,8 +145,8 @@ class Plan:
         return self.tell_front()
 
     def __getstate__(self):
-        """Its fields and its front; what this is computed from is not pickled."""
-        return {**self.__dict__, "front": self.front, "tell_front": tuple}
+        """Its fields, with its front in place of what this is computed from."""
+        return {**self.__dict__, "tell_front": functools.partial(tuple, self.front)}
 
     @cached_property
     def name(self) -> str:

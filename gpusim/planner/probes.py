@@ -7,6 +7,7 @@ shows that, does not count.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 import scipy.fft
@@ -28,6 +29,35 @@ UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over all channels
 # windows of 31 wavelengths; of more there are fewer, but not below these
 COUNT = 12
 LEAST_WINDOWS = 4
+
+
+class _Light(NamedTuple):
+    """Light of the mosaic.
+
+    Attributes:
+        size: Its root mean square, from the frame's sum of the channels [e- s-1].
+        by_share: Mean square in the windows, each channel by its share.
+        by_pixel: Mean square in the windows, of the channel that each pixel has; None if these
+            are not known.
+    """
+
+    size: float
+    by_share: float
+    by_pixel: float | None
+
+
+class _Sigma(NamedTuple):
+    """Noise in the windows' inner parts [e-].
+
+    Attributes:
+        pixels: Of each pixel, shape (n, C, *inner).
+        low: Its hundredth.
+        least: Its least.
+    """
+
+    pixels: np.ndarray
+    low: float
+    least: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +146,8 @@ class Probes:
         return float(self.windows.weight @ _mean_squares(own)[:, 0])
 
     @cached_property
-    def _light(self):
-        """Root mean square of the mosaic [e- s-1], from the frame's sum of the channels; mean squares in the windows.
-
-        Two mean squares: of the channels, each by its share, and of the channels that the pixels
-        have, None if these are not known.
-        """
+    def _light(self) -> _Light:
+        """Light of the mosaic."""
         weight = self.windows.weight
         together = weight @ _mean_squares(self.signal.sum(axis=1))
         mosaic = weight @ _mean_squares(self.signal) @ self.share
@@ -129,32 +155,34 @@ class Probes:
             size = float(np.sqrt(mosaic + self.apart * (self.level**2 - together)))
         else:
             size = self.level * np.sqrt(mosaic / together) if together > 0 else 0.0
-        return size, mosaic, None if self.channels is None else self._of_mosaic(self.signal)
+        by_pixel = None if self.channels is None else self._of_mosaic(self.signal)
+        return _Light(size, mosaic, by_pixel)
 
     def bound(self, wrong) -> Bound:
         """The error of channels whose transforms are wrong by so much, complex (n, C, SIDE, SIDE // 2 + 1)."""
-        size, even, light = self._light
-        if not size > 0:
+        light = self._light
+        if not light.size > 0:
             return Bound()
         error = np.abs(self._inside(wrong))
         weight = self.windows.weight[:, None] * self.share
         squares = (weight * _mean_squares(error)).sum()
-        rms = np.sqrt(squares) / size
+        rms = np.sqrt(squares) / light.size
         # few pixels hold the error, which then depends on their channels
-        if light is not None:
-            own = self._of_mosaic(error)
-            if light > 0 and own * even > UNEVEN * squares * light:
-                rms *= np.sqrt(own / squares * (even / light if self.apart is None else 1.0))
-        sigma = error * (self.seconds / self._noise[0])
+        if light.by_pixel is not None:
+            by_pixel = self._of_mosaic(error)
+            if light.by_pixel > 0 and by_pixel * light.by_share > UNEVEN * squares * light.by_pixel:
+                uneven = light.by_share / light.by_pixel if self.apart is None else 1.0
+                rms *= np.sqrt(by_pixel / squares * uneven)
+        sigma = error * (self.seconds / self._sigma.pixels)
         return Bound(
             float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest)
         )
 
     @cached_property
-    def _noise(self):
-        """Noise of the pixels in the windows' inner parts [e-], (n, C, *inner), its hundredth and its least."""
+    def _sigma(self) -> _Sigma:
+        """Noise of the pixels."""
         sigma = np.sqrt(np.maximum(self.signal * self.seconds + self.noise, 1))
-        return sigma, float(np.quantile(sigma, 0.01)), float(sigma.min())
+        return _Sigma(sigma, float(np.quantile(sigma, 0.01)), float(sigma.min()))
 
     @cached_property
     def sharp(self) -> "Probes":
@@ -256,20 +284,20 @@ class Probes:
         shape = self.without_blur
         if shape.rms > 0:
             return shape.times(rms / shape.rms)
-        size = self._light[0] * self.seconds
+        size = self._light.size * self.seconds
         # noise sigmas in the root mean square of the frame
         sigmas = float(size / np.sqrt(max(size + self.noise, 1)))
         return Bound(rms, rms * sigmas, rms * sigmas)
 
     def even_error(self, rms: float) -> Bound:
         """Return an error of this relative RMS that is the same everywhere, such as rounding in transforms."""
-        size, (_, low, least) = self._light[0] * self.seconds * rms, self._noise
+        size, sigma = self._light.size * self.seconds * rms, self._sigma
         # the quantile and the maximum of a normal distribution, over a million pixels
-        return Bound(rms, float(3.3 * size / low), float(5 * size / least))
+        return Bound(rms, float(3.3 * size / sigma.low), float(5 * size / sigma.least))
 
     def brightness_error(self, share: float) -> Bound:
         """The error of a picture that is brighter by this share everywhere."""
-        sigma = share * self.signal * self.seconds / self._noise[0]
+        sigma = share * self.signal * self.seconds / self._sigma.pixels
         weight = self.windows.weight[:, None] * self.share
         return Bound(share, quantile(sigma, weight, 0.999), float(sigma.max()))
 

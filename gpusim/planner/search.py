@@ -77,7 +77,8 @@ def cost_of(question: Question, count: int, around: Surroundings, folded: bool) 
         transform = (2.5 * area * log2(area) + FLOP_PER_BYTE * 16 * area) * (1 + area / CACHED)
     else:
         tiled = around.tiling.samples(question.scene.samples)
-        transform, area = tile * 2.5 * tiled * log2(area), float(tiled)
+        transform = tile * 2.5 * tiled * log2(area)
+        area = float(tiled)
     read = content.nbytes + (0 if count == len(content.wavelengths) else 4 * count * samples)
     back = 1 if folded else channels
     # of complex numbers, and their sums, at the frequencies of a half spectrum

@@ -368,6 +368,9 @@ def test_plans_go_to_other_processes():
     simulator, scenes = gs.Simulator(PHONE, device="numpy", tolerance="video"), leaves()
     plan = simulator.plan(scenes[0])
     given = pickle.dumps((simulator, plan, scenes[1]))
+    _, copy, _ = pickle.loads(given)
+    for same in (copy, copy.of(scenes[1], None)):
+        assert [one.as_dict() for one in same.front] == [one.as_dict() for one in plan.front] != []
     done = subprocess.run(
         [sys.executable, "-c", CHILD], input=given, capture_output=True, check=True
     )

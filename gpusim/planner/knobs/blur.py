@@ -97,7 +97,8 @@ def doubt_of(question: Question) -> str:
         return ""
     ratio = question.ratio
     if ratio != 1:  # of a pixel's aperture, among the cells of the samples
-        width, side = np.array(question.aperture), np.array([[-0.5], [0.5]])
+        width = np.array(question.aperture)
+        side = np.array([[-0.5], [0.5]])
         edges = ratio * (0.5 + np.array(question.sensor.displacement) + side * width)
         if not ratio.is_integer() or (np.abs(edges - np.rint(edges)) > 1e-6).any():
             return BETWEEN_DOUBT
@@ -198,8 +199,10 @@ def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound
     """Return the named errors of the blur by distance, located at edges."""
     if depth is None:
         return {}
-    local, own = Bound if probes is None else probes.local, depth.predicted
-    return {name: local(error) for name, error in own.items() if not name.startswith(OTHERS)}
+    local = Bound if probes is None else probes.local
+    return {
+        name: local(error) for name, error in depth.predicted.items() if not name.startswith(OTHERS)
+    }
 
 
 def describe_depth(depth: DepthPlan | None, notes: Notes):

@@ -172,12 +172,21 @@ def surroundings(
     def in_tiles(overlap, tails):
         tiles, folds = tiling(overlap, cfa)
         reach, side, made = tiles.overlap, tiles.side, None
-        of = ceil(reach / ratio), [reach, reach], (side, side), folds, outside, level
         for spacings in TILES_SPACINGS:  # the fewest that are no matter
             field = far_field(question, tails, reach, side, spacings)
             if field is None:
                 return None
-            made = Surroundings(*of, field, tiles, question)
+            made = Surroundings(
+                ceil(reach / ratio),
+                [reach, reach],
+                (side, side),
+                folds,
+                outside,
+                level,
+                field,
+                tiles,
+                question,
+            )
             if made.splines.ratio(question.tolerance) <= SMALL:
                 break
         return made
@@ -233,7 +242,8 @@ def surroundings_of(
     reaches = [(height - rows) // 2, (width - cols) // 2]
     if made is not None:
         reaches = [made.overlap, made.overlap]
-    reach, outside = ceil(min(reaches) / question.ratio), _outside(question, picture, None, level)
+    reach = ceil(min(reaches) / question.ratio)
+    outside = _outside(question, picture, None, level)
     return Surroundings(reach, reaches, period, False, outside, level, far, made, question)
 
 

@@ -21,6 +21,7 @@ blurred both ways (`ring_errors`).
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 from math import pi, sqrt
 
@@ -94,7 +95,7 @@ class FarField:
     def energies(self, transfers, border: str | None = None) -> np.ndarray:
         """Return their part of a plan's transfer tables, shape (groups, planes, G).
 
-        transfers: see `Plan`. border: see `gpusim.optics.farfield.energies`.
+        transfers: see `Fusion`; None: each plane is one wavelength. border: see `gpusim.optics.farfield.energies`.
         """
         each = energies(self.sigmas, self.tails, border)
         return each[None] if transfers is None else np.tensordot(transfers, each, 1)
@@ -102,7 +103,7 @@ class FarField:
     def weights(self, mix, transfers) -> np.ndarray:
         """Return their part of a plan's channels, by planes, shape (C, planes, G).
 
-        mix: see `Plan`.
+        mix: see `Blur`. transfers: see `energies`.
         """
         return np.asarray(mix)[..., None] * self.energies(transfers, self.border)
 
@@ -197,9 +198,9 @@ def spline_error(far: FarField, outside: Outside, question: Question) -> float:
         return 0.0
     each = question.edges @ energies(far.sigmas, far.tails)
     power, slow = outside.spectrum
-    of = question.size, far.sigmas, each, far.spacings
-    wrong = (misses(*of, FREQUENCIES, FREQUENCIES) * power).sum(axis=(1, 2))
-    wrong += slow * misses(*of, SLOW, (0.0,)).max(axis=(1, 2))
+    missed = partial(misses, question.size, far.sigmas, each, far.spacings)
+    wrong = (missed(FREQUENCIES, FREQUENCIES) * power).sum(axis=(1, 2))
+    wrong += slow * missed(SLOW, (0.0,)).max(axis=(1, 2))
     rms = sqrt(float(question.share @ wrong) / outside.level**2 + SPLINES**2)
     return rms + outside.missing / outside.level
 

@@ -29,7 +29,7 @@ def varying_planes(question: Question, response: Response, prior, flat):
         question: The question.
         response: Channels over wavelength and frequency.
         prior: E[x^T x] of likely spectra, shape (L, L).
-        flat: See `Plan`.
+        flat: Response to a flat field of each wavelength, see `Plan`.
 
     Returns:
         Planes from spectra, transfers on the axis, mix, the difference from the axis, error and
@@ -137,7 +137,8 @@ def _border_error(question, varying):
     wavelengths, size = question.content.wavelengths, varying.kernels.shape[-1]
     lens, (rows, cols) = question.lens, question.size
     corner = farthest_corner(question.size, (np.array(question.size) - 1) / 2 + lens.axis)
-    height, middle = max(float(np.hypot(*corner)), 1.0), [float(np.median(wavelengths))]
+    height = max(float(np.hypot(*corner)), 1.0)
+    middle = [float(np.median(wavelengths))]
     outer = lens.kernels(middle, tuple(corner / question.corner), size)[0]
     axis = lens.kernels(middle, (0.0, 0.0), size)[0]
     if question.scene.border == "zero":

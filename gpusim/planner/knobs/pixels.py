@@ -61,7 +61,8 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
         scene.samples, scene.shape, question.aperture, question.sensor.displacement, strict=True
     ):
         more = spare if is_blurred else ceil(ratio * abs(move))
-        start, nodes = more + frame_start(n, pixels, ratio), NODES if is_blurred else AREA
+        start = more + frame_start(n, pixels, ratio)
+        nodes = NODES if is_blurred else AREA
         taps = pixel_taps(n + 2 * more, pixels, ratio, width, start, nodes, move)
         first, last = taps.centres[0] - ratio * width / 2, taps.centres[-1] + ratio * width / 2
         is_inside = more - 1e-6 <= first and last <= n + more + 1e-6

@@ -228,7 +228,8 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
 def probes_of(question: Question, picture: Picture, operation: Operation) -> Probes:
     """Return windows of the scene in which errors are computed."""
     scene = question.scene
-    flat, tables = np.ones(len(question.q)), np.ones((1, SIDE, SIDE // 2 + 1))
+    flat = np.ones(len(question.q))
+    tables = np.ones((1, SIDE, SIDE // 2 + 1))
     if question.is_blurred:
         flat = _flat(question)
         tables = transfers_at(question, flat, SIDE)
