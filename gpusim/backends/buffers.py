@@ -188,8 +188,10 @@ class Command:
             value = np.float32(value)
         self.kernel.set_arg(index, value)
 
-    def set(self, args):
-        for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
+    def set(self, args, first=0):
+        """Set other arguments; those before `first` are the same."""
+        for index in range(first, len(args)):
+            old, new = self.args[index], args[index]
             if new is old or (not isinstance(new, OpenCLArray) and new == old):
                 continue
             self._set(index, new)

@@ -111,7 +111,8 @@ class Tape:
         for place, (command, own, words) in enumerate(self.numbered):
             own = own | {name: value for name, value in numbers.items() if name in own}
             last = last_arguments(own, words)
-            command.set((*command.args[: -len(last)], *last))
+            first = len(command.args) - len(last)
+            command.set((*command.args[:first], *last), first)
             self.numbered[place] = command, own, words
         return True
 

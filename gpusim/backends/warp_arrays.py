@@ -110,8 +110,10 @@ class Command:
             if addresses:
                 addresses[place] = ctypes.c_void_p(ctypes.addressof(params[place]))
 
-    def set(self, args):
-        for index, (old, new) in enumerate(zip(self.args, args, strict=True)):
+    def set(self, args, first=0):
+        """Set other arguments; those before `first` are the same."""
+        for index in range(first, len(args)):
+            old, new = self.args[index], args[index]
             if new is old or (isinstance(new, int | float | np.number) and new == old):
                 continue
             packed = self.launch.params[index + 1]

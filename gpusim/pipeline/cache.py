@@ -18,7 +18,7 @@ from gpusim.planner.plan import Plan
 
 # equal only if they are the same object; their arrays are not compared
 BY_IDENTITY = (Scene, Content, Plan, Facts)
-PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic)
+PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic, MethodType)
 NUMBERS = (int, float, str, bool)
 OTHER, REPLACED, REFILLED, SAME = range(4)  # how a key relates to another
 
@@ -210,7 +210,7 @@ def compare(a, b, by_identity: tuple = BY_IDENTITY) -> int:
         if a.value is b.value:
             return SAME if a.version == b.version else REFILLED
         return REPLACED if _is_replaceable(a.value, b.value) else OTHER
-    if isinstance(a, (*PLAIN, MethodType)):
+    if isinstance(a, PLAIN):
         return SAME if a == b else OTHER
     if isinstance(a, tuple | list):
         return _compare_all(a, b, by_identity) if len(a) == len(b) else OTHER

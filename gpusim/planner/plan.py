@@ -103,7 +103,11 @@ class Plan:
 
     def find(self, kind: type[Kind]) -> Kind | None:
         """Return the choice of a kind, or None if frames do without that part."""
-        return next((choice for choice in self.choices if isinstance(choice, kind)), None)
+        return self._by_kind.get(kind)
+
+    @cached_property
+    def _by_kind(self) -> dict:
+        return {type(choice): choice for choice in self.choices}
 
     def exchange(self, *choices, without: tuple[type, ...] = (), **changes) -> "Plan":
         """Return the plan with other choices of their kinds, without some kinds, and with other fields."""
