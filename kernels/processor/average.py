@@ -96,8 +96,8 @@ def average(
     numbers = [int(reference), *bounds(period)]
     launch("weigh", grid, misfit, weights, *numbers, count, h, w, group=group)
     sizes = [rows, cols, h, w, *warp_only(device, count, py, px)]
-    group, grid = (1, 1) if cpu else None, (rows, 1 if cpu else cols)
-    launch("average", grid, moved, weights, out, *sizes, group=group)
+    pixels, item = (rows, 1 if cpu else cols), (1, 1) if cpu else None
+    launch("average", pixels, moved, weights, out, *sizes, group=item)
     return out
 
 
