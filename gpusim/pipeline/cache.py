@@ -5,7 +5,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from types import FunctionType, MethodType
 from typing import Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -20,10 +19,11 @@ from gpusim.planner.plan import Plan
 BY_IDENTITY = (Scene, Content, Plan, Facts)
 PLAIN = (str, bytes, int, float, bool, slice, type(None), np.generic, MethodType)
 NUMBERS = (int, float, str, bool)
+SEQUENCES = (tuple, list)
 OTHER, REPLACED, REFILLED, SAME = range(4)  # how a key relates to another
 
-# for each array that a step rewrites: the step, and the version of the contents
-_OWNERS: WeakKeyDictionary = WeakKeyDictionary()
+# attribute of each array that a step rewrites: the step, and the version of the contents
+_WRITER = "_written_by"
 _VERSIONS = itertools.count(1)
 NOBODY = (None, 0)
 
@@ -123,7 +123,7 @@ class Cache:
         if type(value) is tuple or type(value) is list:
             return tuple(map(self.with_versions, value))
         if isinstance(value, self._array_type):
-            return One(value, _OWNERS.get(value, NOBODY)[1])
+            return One(value, getattr(value, _WRITER, NOBODY)[1])
         return value
 
     @staticmethod
@@ -160,14 +160,14 @@ class Cache:
             for part in before if isinstance(before, tuple) else (before,):
                 if (
                     isinstance(part, self._array_type)
-                    and _OWNERS.get(part, NOBODY)[0] == own
+                    and getattr(part, _WRITER, NOBODY)[0] == own
                     and not any(part is other for other in parts)
                 ):
-                    del _OWNERS[part]
+                    delattr(part, _WRITER)
         for part in parts:
             # an array passed on from another step keeps its version
-            if isinstance(part, self._array_type) and _OWNERS.get(part, (own, 0))[0] == own:
-                _OWNERS[part] = own, next(_VERSIONS)
+            if isinstance(part, self._array_type) and getattr(part, _WRITER, (own, 0))[0] == own:
+                setattr(part, _WRITER, (own, next(_VERSIONS)))
 
     def __reduce__(self):
         return Cache, (self._device,)  # empty
@@ -204,23 +204,26 @@ def compare(a, b, by_identity: tuple = BY_IDENTITY) -> int:
     """
     if a is b:
         return SAME
-    if type(a) is not type(b):
+    kind = type(a)
+    if kind is not type(b):
         return OTHER
-    if isinstance(a, One):
+    if kind is One:
         if a.value is b.value:
             return SAME if a.version == b.version else REFILLED
         return REPLACED if _is_replaceable(a.value, b.value) else OTHER
+    if isinstance(a, SEQUENCES):
+        return _compare_all(a, b, by_identity) if len(a) == len(b) else OTHER
     if isinstance(a, PLAIN):
         return SAME if a == b else OTHER
-    if isinstance(a, tuple | list):
-        return _compare_all(a, b, by_identity) if len(a) == len(b) else OTHER
+    if isinstance(a, by_identity):
+        return OTHER
     if isinstance(a, dict):
         if list(a) != list(b):
             return OTHER
         return _compare_all(list(a.values()), list(b.values()), by_identity)
     if isinstance(a, np.ndarray):
         return SAME if a.dtype == b.dtype and np.array_equal(a, b) else OTHER
-    if is_dataclass(a) and not isinstance(a, by_identity):
+    if is_dataclass(a):
         names = [part.name for part in fields(a)]
         own, its = ([getattr(one, name) for name in names] for one in (a, b))
         return _compare_all(own, its, by_identity)
@@ -242,7 +245,7 @@ def ones(key) -> list[One]:
     """Return the device arrays in a key, in order."""
     if isinstance(key, One):
         return [key]
-    return [one for part in key for one in ones(part)] if isinstance(key, tuple | list) else []
+    return [one for part in key for one in ones(part)] if isinstance(key, SEQUENCES) else []
 
 
 def _compare_all(a, b, by_identity):

@@ -110,6 +110,7 @@ class Values:
 
     def __init__(self, caches: Mapping[Rate, Cache]):
         self._caches, self._token = caches, object()
+        self._taped = [cache for cache in dict.fromkeys(caches.values()) if cache.is_taped]
         self.steps: dict[str, Step] = {}  # by the value that each makes
         self._given: dict[str, Any] = {}
         self._numbers: dict[str, Any] = {}
@@ -162,9 +163,9 @@ class Values:
                 self.forget(user)
 
     def __getitem__(self, name: str) -> Any:
-        for cache in self._caches.values():
+        for cache in self._taped:
             # other values may have rewritten the cache's arrays
-            if cache.is_taped and cache.user is not self._token:
+            if cache.user is not self._token:
                 self._known.clear()
                 cache.user = self._token
         return self._value(name)
@@ -172,7 +173,7 @@ class Values:
     def unexpected_host_accesses(self) -> list[tuple[str, str]]:
         """Return (value, stage) of steps that read device values or computed on the host without `Step.host`."""
         found = []
-        for cache in {id(cache): cache for cache in self._caches.values()}.values():
+        for cache in dict.fromkeys(self._caches.values()):
             for name, reads, work in cache.host_accesses():
                 step = self.steps.get(name)
                 if step is not None and not step.host:
