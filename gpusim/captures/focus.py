@@ -153,7 +153,7 @@ class _Trials:
     too small.
     """
 
-    def __init__(self, simulator, scene, region, seed):
+    def __init__(self, simulator: Simulator, scene, region, seed):
         sensor, readout = simulator.camera.sensor, simulator.readout
         self._loop, self._seed = simulator.loop(scene), seed
         self._period = (1, 1) if sensor.stacked else readout.output.cfa_indices.shape

@@ -311,7 +311,7 @@ def _merge_tables(frames):
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 
 
-def _defect_method(simulator, frames):
+def _defect_method(simulator: Simulator, frames):
     """Return how defective pixels are found.
 
     The chip's map is used only if it is the simulator's and pixels are not binned.
@@ -321,7 +321,7 @@ def _defect_method(simulator, frames):
     return "detect" if method == "known" and not mapped else method
 
 
-def _replace_defects(simulator, frames):
+def _replace_defects(simulator: Simulator, frames):
     """Return the raw values of all frames, defects replaced if the camera does so.
 
     This happens before the merge: merged values have other noise than their electrons, and moved

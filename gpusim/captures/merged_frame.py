@@ -8,6 +8,7 @@ from gpusim.domain.raw_noise import ROUNDING
 from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
+from gpusim.pipeline.simulator import Simulator
 
 PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
 FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
@@ -18,7 +19,7 @@ MERGED_NOISE = "dark_current", "reset", "adc", "row", "column", "dsnu", "row_dsn
 
 
 def develop_merged(
-    simulator,
+    simulator: Simulator,
     frame,
     electrons,
     *,

@@ -106,7 +106,7 @@ def expose_moving(
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begin))
 
 
-def _plans(simulator, scenes, plan, exposure_time):
+def _plans(simulator: Simulator, scenes, plan, exposure_time):
     """Return a plan for every scene: one per content, or the given one."""
     plans: list[Plan] = []
     for scene in scenes:

@@ -115,7 +115,7 @@ def pareto(camera: Camera, scene: Scene, device: Device) -> Iterator[dict]:
     yield row("float64, each band", "truth", spent, truth, words="what all are judged by")
 
 
-def _frames(simulator, scene, seconds):
+def _frames(simulator: Simulator, scene, seconds):
     """Return the median time [ms] for copies of a scene, the mean electrons, and the plan."""
     loop = simulator.loop(scene, seconds)
     times: list[float] = []

@@ -17,6 +17,7 @@ from gpusim.judge.bench import make_resident
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import public_function, stage_module
 from gpusim.optics.farfield import multiplications
+from gpusim.pipeline.simulator import Simulator
 from gpusim.pipeline.step import steps_needed
 
 SIZES = ((96, 128), (480, 640))  # rows and columns of a stage's benchmarks
@@ -109,7 +110,7 @@ class Speeds:
             return {}
 
 
-def frame_ms(simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
+def frame_ms(simulator: Simulator, plan, speeds: Speeds | None = None) -> dict[str, float]:
     """Return the predicted time of every stage of a frame after the first [ms].
 
     Args:

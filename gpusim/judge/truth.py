@@ -35,9 +35,10 @@ from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.report import Error
+from gpusim.pipeline.simulator import Simulator
 
 
-def true_error(simulator, scene, exposure) -> Error:
+def true_error(simulator: Simulator, scene, exposure) -> Error:
     """Return the error of the mean electrons of an exposure.
 
     Args:
@@ -56,7 +57,7 @@ def true_error(simulator, scene, exposure) -> Error:
     return error
 
 
-def mean_and_truth(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
+def mean_and_truth(simulator: Simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
     """Return the mean electrons of an exposure, and their truth.
 
     For a large frame with a blur that varies over the field, both are one row of samples from
@@ -74,13 +75,13 @@ def mean_and_truth(simulator, scene, exposure) -> tuple[np.ndarray, np.ndarray]:
     return rows[0], rows[1]
 
 
-def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
+def true_mean(simulator: type[Simulator], camera, scene, plan, exposure_time) -> np.ndarray:
     """Return the mean electrons of every pixel, float64.
 
     Light between points that are sampled too coarsely may be negative, and is not clipped.
 
     Args:
-        simulator: The class `Simulator`, which imports this module.
+        simulator: The class `Simulator`.
         camera: The camera.
         scene: The scene.
         plan: Plan of the frame; the truth does not use it.
@@ -98,7 +99,7 @@ def true_mean(simulator, camera, scene, plan, exposure_time) -> np.ndarray:
     )[0]
 
 
-def _electrons(simulator, camera, scene, exposure_time, parts):
+def _electrons(simulator: type[Simulator], camera, scene, exposure_time, parts):
     """Return the mean electrons of parts of a frame: see `true_mean`."""
     optics, cfa, lens = camera.optics, camera.sensor.cfa_indices, lens_of(camera)
     light = placed_light(camera, scene)
@@ -112,7 +113,7 @@ def _electrons(simulator, camera, scene, exposure_time, parts):
         )
     else:
         rates = blurred_rates(light, dataclasses.replace(camera, optics=optics.on_axis()), scene)
-    more = [0.0] * len(parts)
+    more: list = [0.0] * len(parts)
     if not lens.is_uniform:
         more = varying_rates(light, camera, scene, _within(parts, scene.shape))
     gain = exposure_time * falloff_gain(camera, scene)
@@ -127,7 +128,7 @@ def _electrons(simulator, camera, scene, exposure_time, parts):
     return found
 
 
-def _rates_by_depth(simulator, camera, scene, light):
+def _rates_by_depth(simulator: type[Simulator], camera, scene, light):
     """Return electrons per second (C, rows, cols), with a depth plan of the reference."""
     ratio, sensor = scene.samples_per_pixel, camera.sensor
     pitch, displaced = sensor.pixel_pitch / ratio, ceil(ratio * max(map(abs, sensor.displacement)))

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from math import ceil, prod
+from typing import TYPE_CHECKING
 
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
@@ -22,6 +23,9 @@ from gpusim.planner.plan import Plan, plan
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
+if TYPE_CHECKING:
+    from gpusim.pipeline.simulator import Simulator
+
 MOST_REACH = LENGTHS[-1] // 4  # largest width of the surroundings [pixel]
 
 
@@ -38,7 +42,7 @@ def draft_key(camera: Camera) -> tuple:
 
 
 def make_plan(
-    simulator,
+    simulator: "Simulator",
     scene: Scene,
     facts: Facts | None = None,
     exposure_time: float | None = None,
@@ -76,13 +80,13 @@ def make_plan(
     return replace(made, bytes_needed=needed, left_out=[*made.left_out, *simulator.left_out])
 
 
-def _require_met(simulator, made):
+def _require_met(simulator: "Simulator", made):
     """Raise NotMet if the simulator is strict and the plan's tolerance is not met in its scene."""
     if simulator.strict and made.verdict is not None and not made.verdict.is_met:
         raise NotMet(f"{made.scene.name}: tolerance {made.verdict}")
 
 
-def require_memory(made: Plan, simulator) -> int:
+def require_memory(made: Plan, simulator: "Simulator") -> int:
     """Return the device memory of a frame made with a plan [byte].
 
     It is the sum over the steps. SciPy's transforms count if they use the device's memory. Constants of a few thousand
@@ -133,7 +137,9 @@ def check_given(made, camera: Camera, scene: Scene):
         raise BadData(f"{named} does not serve {format_value(scene.name)}: {why}")
 
 
-def adopt_plan(simulator, made: Plan, scene: Scene, exposure_time: float | None = None) -> Plan:
+def adopt_plan(
+    simulator: "Simulator", made: Plan, scene: Scene, exposure_time: float | None = None
+) -> Plan:
     """Return a given plan, checked, with its errors in a scene.
 
     Raises BadData, see `check_given`, DoesNotFit, or NotMet, see `predict_errors`.
@@ -153,7 +159,7 @@ def _shorten(value):
 
 
 def predict_errors(
-    simulator, made: Plan, scene: Scene, facts: Facts, exposure_time: float | None
+    simulator: "Simulator", made: Plan, scene: Scene, facts: Facts, exposure_time: float | None
 ) -> Plan:
     """Return a given plan with the errors predicted for a scene, and a verdict for this simulator's tolerance.
 
@@ -186,7 +192,7 @@ def predict_errors(
     return replace(made, scene=scene)
 
 
-def probe_plan(simulator, made: Plan, scene: Scene, seconds: float | None) -> Account:
+def probe_plan(simulator: "Simulator", made: Plan, scene: Scene, seconds: float | None) -> Account:
     """Return a plan's errors in another scene, see `gpusim.planner.after.probe_account`."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
     return probe_account(
@@ -198,7 +204,7 @@ def probe_plan(simulator, made: Plan, scene: Scene, seconds: float | None) -> Ac
     )
 
 
-def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
+def probes_for(simulator: "Simulator", scene: Scene, view: View, seconds: float) -> Probes:
     """Return the windows of a view of a scene in which errors are computed. seconds: exposure time [s]."""
     question = Question.of(
         scene.viewed(view), simulator.camera, Facts.of(scene), None, **_plan_options(simulator)
@@ -207,7 +213,7 @@ def probes_for(simulator, scene: Scene, view: View, seconds: float) -> Probes:
     return spectral.probes_of(question, picture, picture.operation(question, seconds))
 
 
-def _plan_options(simulator):
+def _plan_options(simulator: "Simulator"):
     """Return the options of a simulator's plans, without the tolerance."""
     return {name: getattr(simulator, name) for name in ("guaranteed", "reach", "period")} | {
         "cache": simulator.cache

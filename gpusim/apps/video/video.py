@@ -188,7 +188,7 @@ def _make_frame(loop, number, seed, output):
     return Made.of(number, values, account, exposure)
 
 
-def _on_host(simulator, values, output):
+def _on_host(simulator: Simulator, values, output):
     """Return a host copy of an output, with the channels of linear light last."""
     copied = np.array(simulator.device.numpy(values))
     return np.moveaxis(copied, 0, -1) if output == "linear" else copied
