@@ -132,7 +132,9 @@ def _rates_by_depth(simulator: type[Simulator], camera, scene, light):
     """Return electrons per second (C, rows, cols), with a depth plan of the reference."""
     ratio, sensor = scene.samples_per_pixel, camera.sensor
     pitch, displaced = sensor.pixel_pitch / ratio, ceil(ratio * max(map(abs, sensor.displacement)))
-    reach = simulator(camera, device="numpy").plan(scene).find(DepthPlan).reach
+    depth = simulator(camera, device="numpy").plan(scene).find(DepthPlan)
+    assert depth is not None  # the scene has one
+    reach = depth.reach
     period = period_of(camera.optics, scene, pitch, reach, displaced)
     reference = simulator(camera, device="numpy", period=period)
     own = reference.plan(scene)
