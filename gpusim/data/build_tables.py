@@ -1,8 +1,8 @@
-"""Build the tables of gpusim/data.
+"""Build the tables of this folder.
 
-Usage: `python tools/build_tables.py ISETCAM_REFLECTANCES.npz ISETCAM_SPECTRA.npz`. Run it by hand
-when a source changes. The tables are part of the package; nothing here runs in use. README.md next
-to the tables names every source.
+Usage: `python -m gpusim.data.build_tables ISETCAM_REFLECTANCES.npz ISETCAM_SPECTRA.npz`. Run it by
+hand when a source changes. The tables are part of the package; nothing here runs in use. README.md
+of this folder names every source.
 """
 
 import sys
@@ -10,10 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-import gpusim.data
 from gpusim.domain.spectrum import Spectrum
 
-DATA = Path(gpusim.data.__file__).parent
+HERE = Path(__file__).parent
 
 REFLECTANCE_SETS = {
     "macbeth": "macbethChart",
@@ -32,7 +31,7 @@ DISPLAYS = {
 }
 
 
-def build_cie(path=DATA / "cie.npz"):
+def build_cie(path=HERE / "cie.npz"):
     """Build colour matching functions, illuminants, daylight basis and ColorChecker.
 
     Their source is colour-science.
@@ -64,7 +63,7 @@ def build_cie(path=DATA / "cie.npz"):
     )
 
 
-def build_reflectances(source, path=DATA / "reflectances.npz"):
+def build_reflectances(source, path=HERE / "reflectances.npz"):
     """Build measured reflectances at 400, 410 .. 700 nm (ISETCam), without samples with NaN."""
     tables = {}
     with np.load(source) as isetcam:
@@ -76,7 +75,7 @@ def build_reflectances(source, path=DATA / "reflectances.npz"):
         np.savez_compressed(path, wavelengths=isetcam["wave"][step], **tables)
 
 
-def build_displays(source, path=DATA / "displays.npz"):
+def build_displays(source, path=HERE / "displays.npz"):
     """Build radiance of measured displays' primaries at 400, 410 .. 700 nm, and curve exponents."""
     tables = {}
     with np.load(source, allow_pickle=True) as isetcam:
@@ -94,7 +93,7 @@ def build_displays(source, path=DATA / "displays.npz"):
         np.savez_compressed(path, wavelengths=isetcam["wave"], **tables)
 
 
-def build_srgb(path=DATA / "srgb.npz"):
+def build_srgb(path=HERE / "srgb.npz"):
     """Build reflectance spectra of the sRGB primaries: `smoothest_primaries` at 360 .. 780 nm.
 
     Their colours hold for cubic splines through the nodes, because the simulation interpolates
