@@ -1,4 +1,4 @@
-"""Colour filter arrays: well-known ones by name, and what binning makes of one.
+"""Colour filter arrays: well-known ones by name, and the mosaic of binned pixels.
 
 R, G, B: red, green, blue; C, M, Y: cyan, magenta, yellow; W: no filter (panchromatic); N: near
 infrared; E: emerald. In "rccc" and "rccb" the makers' C is a clear pixel, W here. A camera needs a

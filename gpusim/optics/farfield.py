@@ -43,7 +43,7 @@ from gpusim.domain.pupil import Pupil
 
 RATIO = 1.6  # of neighbours' widths, by default: the sum of so few ripples by 1e-3 of the tail, which averages out
 LEAST = 4.0  # [sample] of a Gaussian that grids of splines carry
-REACH = 4.4  # in units of the tail's smallest Gaussian over RATIO: where what is left of the lens has ended
+REACH = 4.4  # in units of the tail's smallest Gaussian over RATIO: beyond it nothing of the lens is left
 WIDEST = 4.0  # periods: beyond it a Gaussian is as its limit, but for a power of its width
 POWERS = (3, 5, 7)  # of the tail
 # powers of sigma with which a Gaussian approaches its limit
@@ -276,7 +276,7 @@ class Axis:
         return Bands.of([self._splines(np.arange(margin, self.n - margin), 2)])
 
     def restriction(self, level: int) -> Bands:
-        """From what a level has, see `_world`, to d_-2 .. of the next one, of the world without end."""
+        """Return the bands from a level's values, see `_world`, to d_-2 .. of the next, in an endless world."""
         world = self._world(level, 4 * COARSER)
         return Bands.of([self._coarser(level, 4 * COARSER - 6, world.shape[0]) @ world])
 

@@ -19,7 +19,7 @@ from gpusim.planner.plan import Plan
 WIDER = 1.5
 ROOM = 0.25
 
-TURNED: dict[str, Any] = {  # what may be other
+TURNED: dict[str, Any] = {  # settings that may differ
     "f_number": 8.0,
     "object_distance": np.inf,
     "defocus": 0.0,

@@ -1,4 +1,4 @@
-"""From a scene and a camera to what is computed: host float64 mathematics, no device."""
+"""Plans of frames: the steps that a scene and a camera need, decided on the host in float64."""
 
 import functools
 from collections.abc import Callable
@@ -47,28 +47,37 @@ ROUNDING = 1.2e-7  # relative RMS of float32 sums over the wavelengths, without 
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """What a frame of `scene` by `camera` takes; every array is float64.
+    """How frames of a scene by a camera are computed. Every array is float64.
 
-    scene, camera: what it is for. weights: electrons per second in each channel for content 1 at each of the scene's
-    wavelengths, shape (C, L).
-    flat: what a flat field of each wavelength gives where every sample is a point of light of 1, shape (L,).
-    content: the scene's, without its highlights.
-    q: wavelength times working f-number over the distance of samples at each wavelength, shape (L,).
-    slope: tangent of the field angle per pixel; 0 if the cos^4 law is not used.
-    choices: the parts that frames are made of, at most one of each kind: `Planes`, `Blur`, `Fusion`, `Sampling`,
-        `Falloff` and `Goal` of gpusim.planner.choices; Highlights that were split off the content; FieldBlur, what the
-        blur has more than that on the axis; DepthPlan, how the blur goes by distance; DistortionGrid; Tiling of the
-        frame into tiles of the blur's period; FarField, what the world beyond the blur's reach is left to; Watch, which
-        tells whether the fused planes still do for other contents. See `find`.
-    account: named errors of the scene as sampled.
-    models: stage -> what is modelled, and why; left_out: what is not. beside: named errors that are no part of the
-        account. tell_front: gives `front`.
-    bytes_needed: device memory of a frame, where it was planned for a device; else 0.
-    single: whether the account is that of float32.
-    planned_for: name of the scene of the same kind that it was made for, if that is another; most predicted errors are
-        of that one then. probed: which scene's probes told the others, or why the plan was made anew.
-    is_draft: whether it was made for another lens, see `gpusim.planner.draft`: the account is of that.
-    given_of: name of the scene that it was made for, if it was given for another, whose account it has.
+    Attributes:
+        scene: The scene.
+        camera: The camera.
+        weights: Electrons per second in each channel for content 1 at each wavelength of the scene,
+            shape (C, L).
+        flat: Response to a flat field of each wavelength if every sample is a unit point source,
+            shape (L,).
+        content: Content of the scene, without the highlights that are added separately.
+        q: Wavelength times working f-number over the distance of samples, shape (L,).
+        slope: Tangent of the field angle per pixel; 0 if the cos^4 law is not used.
+        choices: Parts that frames are made of, at most one of each kind. `Planes`, `Blur`,
+            `Fusion`, `Sampling`, `Falloff` and `Goal` are in gpusim.planner.choices. Highlights are
+            split off the content. FieldBlur is the difference from the blur on the axis, DepthPlan
+            the blur by distance, DistortionGrid the distortion of the lens. Tiling divides the
+            frame into tiles of the blur's period. FarField models the world beyond the blur's
+            reach. Watch predicts the error of the fused planes for other contents.
+        account: Named errors of the scene as sampled.
+        models: Stage -> model in words, and the reason for it.
+        left_out: Effects that are not modelled, in words.
+        beside: Named errors that are no part of the account.
+        tell_front: Function that returns `front`.
+        bytes_needed: Device memory of a frame [byte]; 0 if the plan was made without a device.
+        single: Whether the account is for float32.
+        planned_for: Name of the scene of the same kind that the plan was made for, if it is another
+            one. Most predicted errors are for that scene.
+        probed: Scene whose probes gave the other errors, or the reason for a new plan.
+        is_draft: Whether the lens is another than the account's, see `gpusim.planner.draft`.
+        given_of: Name of the scene that the plan was made for, if the caller gave the plan for
+            another scene. The account is for the latter.
     """
 
     scene: Scene
@@ -145,19 +154,19 @@ class Plan:
 
     @cached_property
     def front(self) -> tuple[Candidate, ...]:
-        """The options that were cheaper, or more accurate, from the cheapest on; computed when it is asked for."""
+        """The options that are cheaper or more accurate, from the cheapest on; computed on first use."""
         return self.tell_front()
 
     def __getstate__(self):
-        """Its fields, with its front in place of what this is computed from."""
+        """Return the fields, with the computed front in place of its function."""
         return {**self.__dict__, "tell_front": functools.partial(tuple, self.front)}
 
     @cached_property
     def name(self) -> str:
-        """Digest of its decisions: plans of one name make the same frame of a scene, bit for bit on one device.
+        """Digest of the decisions: plans of one name make the same frame of a scene, bit for bit on one device.
 
-        What it predicts and the samples of its scene have no part in it. Computed numbers count as float32, as devices
-        take them.
+        It includes neither predicted errors nor the samples of the scene. Computed numbers count as
+        float32, like on devices.
         """
         optics = self.camera.optics
         sensor = self.camera.sensor
@@ -207,7 +216,7 @@ class Plan:
 
     @property
     def count(self) -> int:
-        """Planes that are blurred."""
+        """Number of planes that are blurred."""
         blur = self.find(Blur)
         return 0 if blur is None else blur.mix.shape[-1]
 
@@ -222,14 +231,15 @@ class Plan:
         return "planes" if self.find(Blur) else "blur left out"
 
     def serves(self, scene: Scene) -> bool:
-        """Whether it also says how to make a frame of another scene: of the same kind, and nothing here is of pixels.
+        """Return whether frames of another scene can be made with this plan.
 
-        Its predicted errors are those of its own scene then.
+        The scene must be of the same kind, and no part of the plan may depend on pixels. The predicted
+        errors stay those of the plan's own scene.
         """
         return not self.misfit(scene)
 
     def misfit(self, scene: Scene) -> str:
-        """Why it does not say how to make a frame of another scene, in words; "" if it does."""
+        """Return the reason why frames of another scene cannot be made with this plan; "" if they can."""
         own = self.scene
         for part, why in (
             (self.find(Highlights), "it has split off the highlights of its own scene"),
@@ -265,7 +275,10 @@ class Plan:
         )
 
     def lasts(self, exposure_time: float | None) -> bool:
-        """Whether a tolerance that it meets is met by it at another exposure time [s], too; None: that of its own."""
+        """Return whether a tolerance that is met stays met at another exposure time [s].
+
+        None stands for the exposure time of the account.
+        """
         if (
             exposure_time in (None, self.account.seconds)
             or self.tolerance is None
@@ -276,11 +289,14 @@ class Plan:
         return self.account.at(exposure_time).verdict(self.tolerance).is_met
 
     def fits(self, light, drift: float | None) -> bool:
-        """Whether it is as right for a scene that it serves as it was to be for its own.
+        """Return whether the plan is as accurate for another scene that it serves as for its own.
 
-        light: statistics of the scene's mean electrons, see `sensor.meter`. drift: what the watch says of it, or
-        None. What is up to THRESHOLD times the mean is no highlight: the transforms' error beside it is below 10 of
-        TRANSFORM_ERROR times the mean.
+        Light up to THRESHOLD times the mean is no highlight: the error of the transforms next to it is
+        below 10 times TRANSFORM_ERROR of the mean.
+
+        Args:
+            light: Statistics of the scene's mean electrons, see `sensor.meter`.
+            drift: Relative RMS error that the watch predicts, or None.
         """
         highest, mean = light[:2]
         if self.find(Blur) and highest > THRESHOLD * mean:
@@ -289,9 +305,12 @@ class Plan:
         return drift is None or watch is None or drift <= watch.limit
 
     def of(self, scene: Scene, drift: float | None, account: Account | None = None) -> "Plan":
-        """The same as that of another scene that it serves.
+        """Return the plan for another scene that it serves.
 
-        drift: see `fits`. account: of that scene, where more is known than that.
+        Args:
+            scene: The scene.
+            drift: See `fits`.
+            account: Errors for that scene, if more is known than the drift.
         """
         if account is None:
             bounds, name = self.account.bounds, self.watched
@@ -316,23 +335,35 @@ def plan(
     on_gpu: bool = False,
     least: int = 0,
 ) -> Plan:
-    """Decide how `scene` is seen by `camera`.
+    """Return the plan for frames of a scene by a camera.
 
-    tolerance: of all ways that are predicted to meet it the cheapest; where none does, and none of these is dearer than
-    the exact way, the most accurate. Without one every wavelength is exact.
-    guaranteed: choose the planes for the worst spectrum there can be, not for likely ones.
-    reach: pixels of surroundings on each side that take part in the blur, by default BORDER_REACH or what the tolerance
-    needs, if that is not too much (`most_reach`). period: of the transforms [sample], for the reference: no mosaic is
-    folded and no highlight split off then. cache: gives results of earlier plans, see `Caching`; by default nothing.
-    facts: of the scene, where they were read before. exposure_time: that it will be exposed for, where it is not the
-    camera's own [s].
-    single: whether it is computed in float32, whose rounding is an error of its own; else in float64, of which the
-    electrons alone are rounded. on_gpu: whether a GPU computes it.
-    least: planes that the blur has at least, where scenes of this kind were found to need them; 0: it may be left out.
-    A dark world (border "zero") gets at least half the frame, so that what comes back on the other side of the frame
-    comes from a frame's width away or more. That is part of the predicted border error.
-    Raises BadData when their wavelengths do not overlap, OutOfRange when the sensor's curves do not cover the light,
-    when the pixels are far too coarse for the lens, and for a displaced grid that the blur asked for cannot honour.
+    Of all ways that are predicted to meet the tolerance it takes the cheapest. If none does, and
+    none of these costs more than the exact way, it takes the most accurate. A dark world (border
+    "zero") gets at least half the frame on each side: light that the periodic transforms bring back
+    comes from at least a frame's width away. This is part of the predicted border error.
+
+    Args:
+        scene: The scene.
+        camera: The camera.
+        tolerance: Limits on the errors; None computes every wavelength exactly.
+        guaranteed: Whether to choose planes for the worst possible spectrum instead of likely ones.
+        reach: Surroundings on each side that take part in the blur [pixel]; None: BORDER_REACH, or
+            as far as the tolerance needs and `most_reach` allows.
+        period: Lengths of the transforms [sample], for the reference. With it no mosaic is folded
+            and no highlight split off.
+        cache: Stores results for later plans, see `Caching`.
+        facts: Facts of the scene, if they were read before.
+        exposure_time: Exposure time [s]; None: the camera's own.
+        single: Whether frames are computed in float32, whose rounding is an error of its own. In
+            float64 only the electrons are rounded.
+        on_gpu: Whether a GPU computes the frames.
+        least: Least number of blurred planes, if scenes of this kind were found to need them; 0: the
+            blur may be left out.
+
+    Raises:
+        BadData: The wavelengths of scene and sensor do not overlap.
+        OutOfRange: The sensor's curves do not cover the light, the pixels are far too coarse for the
+            lens, or the blur cannot honour a displaced grid.
     """
     question = Question.of(
         scene,
@@ -407,7 +438,7 @@ def plan(
 
 
 def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict[str, Bound]:
-    """The named error of rounding. probes: of the scene, if there is a tolerance. single: see `plan`."""
+    """Return the named error of rounding. probes: of the scene, if there is a tolerance. single: see `plan`."""
     name, rounding = "rounding", ROUNDING if single else STORED
     if single and question.is_blurred:
         name, rounding = "transforms", TRANSFORM_ERROR
@@ -415,7 +446,7 @@ def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict
 
 
 def _as_float32(value):
-    """Arrays and numbers as devices take them: float32."""
+    """Return arrays and numbers as float32, like on devices."""
     if isinstance(value, list | tuple):
         return tuple(map(_as_float32, value))
     return np.asarray(value, np.float32) if isinstance(value, float | np.ndarray) else value
@@ -423,7 +454,7 @@ def _as_float32(value):
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """How a scene is seen: its planes, and what the blur is made of."""
+    """Planes of a scene, and the surroundings and form of their blur."""
 
     way: spectral.Fused
     around: border.Surroundings | None = None
@@ -433,7 +464,7 @@ class _Seen:
 
 
 def _plain(question, blurred, fixed, notes):
-    """Without blur. blurred: the question before one was left out, if it was."""
+    """Return the planes without blur. blurred: the question before a blur was left out, if one was."""
     notes.bounds |= fixed
     way = spectral.planes_without_blur(question, notes)
     if blurred.is_blurred:
@@ -446,7 +477,7 @@ def _plain(question, blurred, fixed, notes):
 
 
 def _seen(question, picture, probes, operation, by_depth, fixed, notes):
-    """The best way to blur; fixed: errors of all ways."""
+    """Return the best way to blur. fixed: errors that all ways have."""
     tolerance = question.tolerance
     fixed |= notes.bounds | blur.bounds_of(by_depth, probes)
     arounds = border.surroundings(question, picture, by_depth, operation.level)
@@ -461,9 +492,11 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     form, folded = blur.form_of(question, option.around, by_depth)
     notes.bounds |= {name: bound for name, bound in option.bounds.items() if bound != Bound()}
     limit = np.inf
-    if tolerance is not None:  # of the planes, for other scenes: what the other errors leave
+    if (
+        tolerance is not None
+    ):  # the part of the tolerance that the other errors leave to the planes of later scenes
         rest = total(bound for name, bound in option.bounds.items() if name != "planes").rms
-        # what is missed already may be missed as much
+        # a tolerance that this scene misses may be missed as much by later ones
         own = HEADROOM * total((Bound(rest), option.way.bound)).rms
         limit = (max(question.limit, own) ** 2 - rest**2) ** 0.5
     way = option.way.make(limit)

@@ -1,4 +1,4 @@
-"""Blur: its form, whether it is left out, whether it follows the distance of objects, and what makes it doubtful."""
+"""Blur: its form, whether it is left out or follows the distance of objects, and doubts about its prediction."""
 
 from collections.abc import Callable
 
@@ -32,9 +32,9 @@ OTHERS = "depth, if "  # begins the names of errors of alternatives
 
 
 def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -> tuple[str, bool]:
-    """The stage that blurs, and whether it gives the mosaic at once.
+    """Return the stage that blurs, and whether it gives the mosaic at once.
 
-    around: what takes part. Layers by depth are laid over one another channel by channel.
+    around: surroundings that take part. Layers by depth are composited channel by channel.
     """
     lens, sensor = question.lens, question.sensor
     folded = (

@@ -218,7 +218,7 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
         tables = field_tables(question.lens, scene.wavelengths, places, period)
         tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
-    if taps is not None:  # what the pixels average out is no error
+    if taps is not None:  # structure that the pixels average out is no error
         fx = np.arange(period // 2 + 1) / period
         fy = np.fft.fftfreq(period) if tables.shape[-2] > len(fx) else fx
         tables = tables * pixel_response(taps, fy, fx)
