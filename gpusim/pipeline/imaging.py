@@ -26,7 +26,7 @@ from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.depth import DepthPlan
+from gpusim.optics.depth import DepthPlan, flatten
 from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid, view_nodes
@@ -175,6 +175,7 @@ class _Steps:
                 "spectra": plan.content.entry_spectra,
             }
             mixed = self.blur is not None and not by_area
+            by_depth = self.depth is not None  # the layers' planes are placed one by one
             steps = [
                 Step(
                     f"{prefix}lights",
@@ -185,10 +186,11 @@ class _Steps:
                 ),
                 Step(
                     f"{prefix}places",
-                    "",
+                    "optics.distort" if by_depth else "",
                     ("view",),
                     {**_placing_constants(plan), "device": self.device},
-                    run=place_samples,
+                    words=self.words("optics.distort") if by_depth else "",
+                    run=place_layers if by_depth else place_samples,
                 ),
                 Step(
                     f"{prefix}zoom",
@@ -199,18 +201,19 @@ class _Steps:
             ]
             # the channels' light, without and with their surroundings
             light = 1 if self.blur is None else 2
-            chain.add(
-                "optics.distort",
-                {"seen": _visible_shape(plan), "border": _border(plan), "by_area": by_area},
-                f"{prefix}places",
-                f"{prefix}lights",
-                f"{prefix}zoom",
-                run=place_planes,
-                words=self.words("optics.distort"),
-                # and two maps
-                nbytes=4 * (self.count + light * self.channels + 2) * self.samples,
-                work=float((self.count + self.channels) * self.samples),
-            )
+            if not by_depth:
+                chain.add(
+                    "optics.distort",
+                    {"seen": _visible_shape(plan), "border": _border(plan), "by_area": by_area},
+                    f"{prefix}places",
+                    f"{prefix}lights",
+                    f"{prefix}zoom",
+                    run=place_planes,
+                    words=self.words("optics.distort"),
+                    # and two maps
+                    nbytes=4 * (self.count + light * self.channels + 2) * self.samples,
+                    work=float((self.count + self.channels) * self.samples),
+                )
         steps = [*steps, *chain.end()]
         if self.blur is not None and self.depth is None:
             host = "tables of another plan need a few numbers per wavelength"
@@ -297,9 +300,11 @@ class _Steps:
                     * (prod(self.transfers.shape[:2]) + self.channels)
                     * len(self.depth.kernels)
                 )
+            placed = [f"{self.prefix}{name}" for name in ("places", "lights", "zoom")]
             chain.add(
                 "optics.composite",
                 {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
+                *(placed if plan.is_placed else ("", "", "")),
                 run=composite_layers,
                 words=self.words("optics.composite"),
                 nbytes=nbytes + self._bytes_of_blur() + self._bytes_of_tables(),
@@ -674,13 +679,23 @@ def make_planes(stored, *, table, device) -> Any:
     return planes(device, table, stored)
 
 
-def place_samples(view: View, *, grid, seen, shape, ratio, device) -> Any:
-    """Return the positions of the samples after the lens and a view, a device array for `place_planes`."""
+def place_samples(view: View, **constants) -> Any:
+    """Return the positions of the samples after the lens and a view, a device array for `place_planes`.
+
+    constants: see `_placing_constants`, and the device.
+    """
+    return place_layers(view, **constants)[0]
+
+
+def place_layers(view: View, *, grid, seen, shape, ratio, device) -> tuple:
+    """Return the positions of light, and those of coverage, which has no flux factor: arrays for `optics.distort`."""
     if view.is_plain and grid is not None:
         nodes = grid.nodes
     else:
         nodes = view_nodes(view, grid, seen, shape, ratio)
-    return device.array(nodes[None])
+    cover = nodes.copy()
+    cover[..., 2] = 1
+    return device.array(nodes[None]), device.array(cover[None])
 
 
 def zoom_of(view: View) -> float:
@@ -768,26 +783,43 @@ def as_one_plane(rates, *, device) -> Any:
     return device.reshape(rates, (1, *rates.shape))
 
 
-def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device) -> Any:
+def composite_layers(
+    planes_, places, lights, zoom, *, plan: Plan, tables: LensTables, border, device
+) -> Any:
     """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
 
     A layer's coverage is blurred in each channel with the channel's kernel for white in the scene's light. Objects
-    continue outside the frame even if no light comes from there.
+    continue outside the frame even if no light comes from there. The lens and a view displace the part of a layer
+    that each kernel blurs, and its coverage; so distances are never interpolated.
+
+    places: see `place_layers`; None: nothing is displaced. lights, zoom: see `place_planes`.
     """
     depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
     assert depth is not None and form is not None
+    table = made and made.table
     channels, margin = len(plan.weights), plan.scene.margin - form.spare
-    lights, alphas, layers = [], [], []
+    beyond = "edge" if border == "zero" else border  # of coverage
+    placing = None
+    if places is not None:
+        placing = _Placing(places, lights, zoom, plan.content.shape, border, beyond, device)
+        picture = flatten(plan.scene)[0] if depth.sheets else None
+        seen = planes_ if picture is None else planes(device, table, store(device, picture))
+    alphas, layers, blurred = [], [], []
     for layer in range(depth.layers):
         content, coverage, confusion = depth.sheet(layer, plan.content)
         own = planes_
         if content is not plan.content:
-            own = planes(device, made and made.table, store(device, content))
+            own = planes(device, table, store(device, content))
+        if placing is not None:
+            placing.limit(seen, own)
         for kernel, share in depth.shares(coverage, confusion):
             of_planes, of_white = tables.at_distance(plan, kernel)
-            share = device.array(share[None])
+            cover = device.array(share[None])
+            light = falloff(own, cover, device=device)
+            if placing is not None:
+                light, cover = placing.place(light, cover)
             light = blur(
-                falloff(own, share, device=device),
+                light,
                 of_planes,
                 form.mix,
                 border,
@@ -796,18 +828,58 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
                 device=device,
             )
             alpha = blur(
-                share,
+                cover,
                 of_white,
                 np.ones((channels, 1), np.float32),
-                "edge" if border == "zero" else border,
+                beyond,
                 form.period,
                 margin=margin,
                 device=device,
             )
-            lights.append(light)
+            blurred.append(light)
             alphas.append(alpha)
             layers.append(layer)
-    return composite(device.stack(lights), device.stack(alphas), layers, device=device)
+    return composite(device.stack(blurred), device.stack(alphas), layers, device=device)
+
+
+class _Placing:
+    """Displaces parts of layers and their coverage. See `composite_layers`."""
+
+    def __init__(self, places, lights, zoom, shape, border, beyond, device):
+        self._places, self._lights, self._density = places, lights, zoom**2
+        self._shape, self._border, self._beyond, self._device = shape, border, beyond, device
+        self._limits = self._gain = None
+        if lights is None:  # by area: what covers all remains 1
+            ones = np.ones((1, *shape), np.float32)
+            whole = distort(ones, places[1], shape, beyond, "area", device=device)
+            self._gain = device.array(1 / np.asarray(device.numpy(whole)))
+
+    def limit(self, seen, own):
+        """Take by area, of the layer with the planes `own`, all samples next to which cubics would fall below 0.
+
+        seen: planes of the picture without blur. A part of a surface falls below 0 at its edges, but their sum
+        does not.
+        """
+        if self._lights is None:
+            return
+        table, device = self._lights.astype(np.float32), self._device
+        self._limits = integrate(seen, table, device=device)
+        if own is not seen:
+            both = device.stack([self._limits, integrate(own, table, device=device)])
+            self._limits = device.reshape(both, (2 * len(table), *both.shape[2:]))
+
+    def place(self, light, cover):
+        """Return planes of light, and a coverage (1, rows, cols), displaced."""
+        (of_light, of_cover), shape, device = self._places, self._shape, self._device
+        if self._lights is None:
+            light = distort(
+                light, of_light, shape, self._border, "area", self._density, device=device
+            )
+            cover = distort(cover, of_cover, shape, self._beyond, "area", device=device)
+            return light, falloff(cover, self._gain, device=device)
+        limits = self._limits
+        light = distort(light, of_light, shape, self._border, light=limits, device=device)
+        return light, distort(cover, of_cover, shape, self._beyond, light=limits, device=device)
 
 
 def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:

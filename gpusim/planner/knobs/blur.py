@@ -116,8 +116,7 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
     optics, facts, scene = question.optics, question.facts, question.scene
     if facts.depth is None:
         return None
-    why = question.lens.fixed_distance or ("there is distortion" if optics.distortion else "")
-    if why:
+    if why := question.lens.fixed_distance:
         notes.leave_out(
             f"depth: {why}, so the blur is the same at all distances",
             _one_distance(question, probes),
