@@ -1,0 +1,266 @@
+"""Places where the product of blurred layers is not enough, and the points of the pupil to sum there.
+
+Composition multiplies means over the pupil. It is exact if at most one of the layers that meet is out of focus. Where
+several are, both vary over the pupil together, and `optics.occlude` sums over its points. A bound of what the sum
+changes, from the variation of coverage and light within the blurs, finds the places that need it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from gpusim.domain.pupil import Pupil
+
+FINE = 1024  # points across the pupil, of which areas are counted
+SHARP = 0.5  # [sample] radius of a blur that stays within its cell
+COUNTS = (128, 256, 512, 1024, 2048, 4096)
+MOST_CELLS = 4096
+SAMPLED = 400  # places at which errors of the sum are measured
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A layer in brightness.
+
+    Attributes:
+        light: Brightness times coverage, shape (rows, cols).
+        alpha: Coverage, the same shape.
+        radius: Radius of the blur, signed [sample], a number or the same shape.
+        guessed: Share of the light that is a guess, because no picture shows it, same shape; None: none.
+    """
+
+    light: np.ndarray
+    alpha: np.ndarray
+    radius: np.ndarray
+    guessed: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Occlusion:
+    """Inputs of `optics.occlude` that do not depend on channels.
+
+    Attributes:
+        places: Row and column of each place, margin included, int32 (E, 2).
+        members: Layers that take part, int32 (n, E).
+        radii: Radii of their blurs [sample], float32 (n, E).
+        points: y, x and share of points of the pupil, float32 (M, 3).
+        error: Bound of the changes that are not computed, and error of the sum over points where they are [brightness],
+            shape (rows, cols).
+        change: What the sum changes at the places that were tried, as a root mean square [brightness].
+    """
+
+    places: np.ndarray
+    members: np.ndarray
+    radii: np.ndarray
+    points: np.ndarray
+    error: np.ndarray
+    change: float = 0.0
+
+    def within(self, margin: int, shape: tuple[int, int]) -> "tuple[np.ndarray, ...]":
+        """Return places, members and radii in a frame of `shape` that begins `margin` samples inside."""
+        at = self.places - margin
+        some = ((at >= 0) & (at < shape)).all(axis=1)
+        return at[some], self.members[:, some], self.radii[:, some]
+
+
+def pupil_points(pupil: Pupil, count: int) -> np.ndarray:
+    """Return `count` points that fill the opening of a pupil evenly: y, x, share of the light, shape (count, 3).
+
+    Source: Roberts, "The unreasonable effectiveness of quasirandom sequences" (2018): additive recurrence with the
+    plastic number.
+    """
+    plastic = 1.32471795724474602596
+    total = int(np.ceil(1.2 * count * 4 / np.pi / pupil.area)) + 64
+    steps = np.outer(np.arange(1, total + 1), [1 / plastic, 1 / plastic**2])
+    y, x = (2 * ((0.5 + steps) % 1) - 1).T
+    inside = np.flatnonzero(is_open(pupil, y, x))[:count]
+    return np.stack([y[inside], x[inside], np.full(count, 1 / count)], axis=1)
+
+
+def is_open(pupil: Pupil, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return whether light passes at points of the pupil of radius 1."""
+    square = y * y + x * x
+    found = (square <= 1) & (square >= pupil.obscuration**2)
+    for side in pupil.sides:
+        found &= x * np.cos(side) + y * np.sin(side) <= pupil.inner_radius
+    return found
+
+
+def pupil_cells(pupil: Pupil, radii: Sequence[float]) -> np.ndarray | None:
+    """Return the parts of the pupil through which the same samples are seen, one point each; None if there are too many.
+
+    With them the sum over the pupil is exact for samples that are even over their cells and blurs of these radii. A
+    part is a rectangle between the places where a ray passes from one sample to the next.
+    """
+    edges = [np.array([-1.0, 1.0])]
+    for radius in {abs(float(r)) for r in radii if abs(r) > 0}:
+        whole = np.arange(int(np.ceil(radius + 0.5))) + 0.5
+        edges += [whole / radius, -whole / radius]
+    every = np.unique(np.round(np.concatenate(edges), 9))
+    every = every[np.abs(every) <= 1]
+    if len(every) ** 2 > 2 * MOST_CELLS:
+        return None
+    fine = (2 * np.arange(FINE) + 1) / FINE - 1
+    first = np.unique(np.searchsorted(fine, every[:-1]))
+    first = first[first < FINE]
+    inside = is_open(pupil, fine[:, None], fine).astype(np.float64)
+    areas = np.add.reduceat(np.add.reduceat(inside, first, axis=0), first, axis=1)
+    middle = (fine[first] + fine[np.append(first[1:], FINE) - 1]) / 2
+    y, x = np.nonzero(areas)
+    if len(y) > MOST_CELLS:
+        return None
+    return np.stack([middle[y], middle[x], areas[y, x] / areas.sum()], axis=1)
+
+
+def find_occlusion(
+    sheets: Sequence[Sheet], pupil: Pupil, border: str, least: float, seed: int = 0
+) -> Occlusion:
+    """Return the places of a picture that need the sum over the pupil, and its points.
+
+    Args:
+        sheets: The layers, the nearest first.
+        pupil: The pupil.
+        border: "zero", "edge" or "reflect".
+        least: Error of the brightness that does not count.
+        seed: Of the choice of the places at which errors are measured.
+    """
+    shape = sheets[0].alpha.shape
+    change, taking_part = _bounds(sheets, pupil)
+    places = np.argwhere(change > least).astype(np.int32)
+    error = np.where(change > least, 0, change)
+    if not len(places):
+        return Occlusion(*_nothing(), error)
+    members = _members(taking_part, places)
+    kinds = np.maximum(members, 0)
+    radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
+    radii = radius[kinds, places[:, 0], places[:, 1]]
+    radii = np.where(members >= 0, radii, 0).astype(np.float32)
+    random = np.random.default_rng(seed)
+    some = random.permutation(len(places))[:SAMPLED]
+    tried = places[some], members[:, some], radii[:, some]
+    light = np.stack([one.light for one in sheets])[:, None]
+    alpha = np.stack([one.alpha for one in sheets])
+
+    def values(points):
+        return covariance(light, alpha, *tried, points, border)[0]
+
+    distinct = np.unique(radii[members >= 0])
+    cells = pupil_cells(pupil, distinct) if len(distinct) <= len(sheets) else None
+    if cells is not None:
+        points, changed, numeric = cells, values(cells), 0.0
+    else:
+        points = pupil_points(pupil, COUNTS[-1])
+        changed = values(points)
+        # errors fall as one over the number of points or faster
+        numeric = _size(values(pupil_points(pupil, COUNTS[-2])) - changed) / 2
+        for count in COUNTS[:-1]:
+            fewer = pupil_points(pupil, count)
+            wrong = _size(values(fewer) - changed)
+            if wrong <= least:
+                points, numeric = fewer, wrong
+                break
+    error[places[:, 0], places[:, 1]] = numeric
+    return Occlusion(places, members, radii, points.astype(np.float32), error, _size(changed))
+
+
+def _size(values):
+    return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
+
+
+def _nothing():
+    empty = np.empty((0, 0), np.int32)
+    return np.empty((0, 2), np.int32), empty, empty.astype(np.float32), np.empty((0, 3), np.float32)
+
+
+def _members(taking_part, places):
+    """Layers that take part at each place in order, -1 for none: (n, E), n the most of one place."""
+    there = taking_part[:, places[:, 0], places[:, 1]]
+    most = int(there.sum(axis=0).max())
+    order = np.argsort(~there, axis=0, kind="stable")[:most]
+    return np.where(np.take_along_axis(there, order, 0), order, -1).astype(np.int32)
+
+
+def _bounds(sheets, pupil):
+    """Bound of what the sum changes at each pixel, (rows, cols), and the layers that take part, (layers, rows, cols).
+
+    With L the light of a layer and of all behind it, L = b + (1 - a) L', the product's error is the covariance of a
+    and L' and 1 - a of the error behind. A covariance is at most the product of the standard deviations, and that of L
+    at most s(b) + (1 - a) s(L') + s(a) max L'.
+    """
+    # the variance within a square is at least that in the pupil, times the areas' ratio
+    widen = (4 / np.pi / pupil.area) ** 0.5
+    error = deviation = brightest = 0.0
+    taking_part, covered = [], np.zeros(sheets[0].alpha.shape, bool)
+    parts = []
+    for sheet in reversed(sheets):
+        reach = int(np.ceil(np.abs(sheet.radius).max() + 0.5))
+        sharp = np.abs(sheet.radius) <= SHARP
+        varies = np.where(sharp, 0, widen * _deviation(sheet.alpha, reach))
+        light_varies = np.where(sharp, 0, widen * _deviation(sheet.light, reach))
+        clear = 1 - _around(scipy.ndimage.minimum_filter, sheet.alpha, reach)
+        error = clear * error + varies * deviation
+        deviation = light_varies + clear * deviation + varies * brightest
+        own = np.divide(sheet.light, sheet.alpha, where=sheet.alpha > 0, out=0 * sheet.light)
+        brightest = np.maximum(brightest, _around(scipy.ndimage.maximum_filter, own, reach))
+        parts.append(((sheet.alpha > 0) | (varies > 0), clear == 0))
+    for there, opaque in reversed(parts):
+        taking_part.append(there & ~covered)
+        covered |= opaque
+    return error, np.stack(taking_part)
+
+
+def _around(filter_, values, reach):
+    """A filter over the square of 2 reach + 1 samples around each sample."""
+    return filter_(np.asarray(values, np.float64), size=2 * reach + 1, mode="nearest")
+
+
+def _deviation(values, reach):
+    """Standard deviation in the square of 2 reach + 1 samples around each sample."""
+    values = np.asarray(values, np.float64)
+    values = values - values.mean()
+    size = 2 * reach + 1
+    mean = scipy.ndimage.uniform_filter(values, size, mode="nearest")
+    square = scipy.ndimage.uniform_filter(values * values, size, mode="nearest")
+    rounding = 1e-12 * np.square(values).max(initial=0)  # of running sums
+    variance = square - mean * mean
+    return np.sqrt(np.where(variance > rounding, variance, 0))
+
+
+def covariance(lights, alphas, places, members, radii, points, border):
+    """Return the mean over the pupil of the light that layers let through, minus the product of means, (channels, E).
+
+    Inputs as of `optics.occlude`. Only the choice of the sample that a point sees is made in float32, as on devices: a
+    half may round either way.
+    """
+    members, radii = np.asarray(members), np.asarray(radii, np.float32)
+    lights, alphas = np.asarray(lights), np.asarray(alphas)
+    there, kinds = members >= 0, np.maximum(members, 0)
+    count, (rows, cols) = places.shape[0], alphas.shape[1:]
+    exact = np.zeros((lights.shape[1], count))
+    mean_light = np.zeros((len(members), *exact.shape))
+    mean_alpha = np.zeros((len(members), count))
+    for v, u, share in np.asarray(points, np.float32):
+        through = np.ones(count)
+        for s, (k, radius) in enumerate(zip(kinds, radii, strict=True)):
+            y, dark_y = _sample(places[:, 0] + np.floor(radius * v + np.float32(0.5)), rows, border)
+            x, dark_x = _sample(places[:, 1] + np.floor(radius * u + np.float32(0.5)), cols, border)
+            alpha = alphas[k, y, x] * there[s]
+            light = lights[k, :, y, x].T.astype(np.float64) * (there[s] & ~dark_y & ~dark_x)
+            exact += float(share) * through * light
+            through *= 1.0 - alpha
+            mean_light[s] += float(share) * light
+            mean_alpha[s] += float(share) * alpha
+    before = np.cumprod(np.concatenate([np.ones((1, count)), 1 - mean_alpha[:-1]]), axis=0)
+    return exact - (before[:, None] * mean_light).sum(axis=0)
+
+
+def _sample(at, size, border):
+    """Indices of samples that stand for those at `at`, and whether these are in the dark."""
+    at = at.astype(int)
+    if border == "reflect":
+        at = at % (2 * size)
+        return np.where(at < size, at, 2 * size - 1 - at), np.zeros(at.shape, bool)
+    inside = np.clip(at, 0, size - 1)
+    return inside, (at != inside) & (border == "zero")

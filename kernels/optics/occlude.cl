@@ -1,0 +1,77 @@
+#include "border.clh"
+
+// every device rounds to the same samples
+#pragma OPENCL FP_CONTRACT OFF
+
+__kernel void begin(
+    // in:
+    __global const float *restrict base,
+    // out:
+    __global float *restrict out,
+    // sizes:
+    const int channels, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1), c = get_global_id(2);
+    GUARD(x >= cols || y >= rows || c >= channels)
+    const size_t at = ((size_t)c * rows + y) * cols + x;
+    out[at] = base[at];
+}
+
+// One place in one channel per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS comes from the
+// host and unrolls the loops.
+__kernel void occlude(
+    // in:
+    __global const float *restrict lights,  // [layers][channels][high][wide]
+    __global const float *restrict alphas,  // [layers][high][wide]
+    __global const int *restrict places,    // [count][2]
+    __global const int *restrict members,   // [SHEETS][count]
+    __global const float *restrict radii,   // [SHEETS][count]
+    __global const float *restrict points,  // [points_][3]
+    // out:
+    __global float *restrict out,           // [channels][rows][cols]
+    // params:
+    const int margin,
+    // sizes:
+    const int points_, const int count, const int rows, const int cols, const int channels, const int high,
+    const int wide)
+{
+    const int e = get_global_id(0), c = get_global_id(1);
+    GUARD(e >= count || c >= channels)
+    const int y = places[2 * e] + margin, x = places[2 * e + 1] + margin;
+    float mean_light[SHEETS], mean_alpha[SHEETS], radius[SHEETS], there[SHEETS];
+    size_t light[SHEETS], alpha[SHEETS];
+#pragma unroll
+    for (int s = 0; s < SHEETS; ++s) {
+        const int k = members[s * count + e];
+        there[s] = k < 0 ? 0.0f : 1.0f;
+        radius[s] = radii[s * count + e];
+        alpha[s] = (size_t)max(k, 0) * high * wide;
+        light[s] = ((size_t)max(k, 0) * channels + c) * high * wide;
+        mean_light[s] = mean_alpha[s] = 0.0f;
+    }
+    float exact = 0.0f;
+    for (int m = 0; m < points_; ++m) {
+        const float v = points[3 * m], u = points[3 * m + 1], share = points[3 * m + 2];
+        float through = 1.0f;
+#pragma unroll
+        for (int s = 0; s < SHEETS; ++s) {
+            const int i = y + (int)floor(radius[s] * v + 0.5f), j = x + (int)floor(radius[s] * u + 0.5f);
+            const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
+            float own = there[s] * lights[light[s] + at];
+            if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) own = 0.0f;
+            const float covered = there[s] * alphas[alpha[s] + at];
+            exact += share * (through * own);
+            through *= 1.0f - covered;
+            mean_light[s] += share * own;
+            mean_alpha[s] += share * covered;
+        }
+    }
+    float product = 0.0f, before = 1.0f;
+#pragma unroll
+    for (int s = 0; s < SHEETS; ++s) {
+        product += before * mean_light[s];
+        before *= 1.0f - mean_alpha[s];
+    }
+    __global float *target = out + ((size_t)c * rows + y - margin) * cols + x - margin;
+    *target = fmax(*target + (exact - product), 0.0f);
+}

@@ -1,0 +1,146 @@
+"""Light between layers that are out of focus: what the product of blurred layers misses, summed over the pupil.
+
+`optics.composite` multiplies means over the pupil. But a pixel sees both a layer and the gaps beside it through the
+same points of the pupil, so the mean of the product counts. With u a point of the pupil of radius 1, w its share of
+the light, and layer k seen at y_k = x + r_k u, of coverage a_k and light b_k = coverage times light,
+
+    out(x) = base(x) + sum over k of  < b_k V_k > - < b_k > product over nearer j of (1 - < a_j >),
+    V_k(u) = product over nearer j of (1 - a_j(y_j)),    < f > = sum over u of w f(y(u)).
+
+Each sample is even over its cell. The sum is over the layers that take part at a place, and at the places that are
+given: elsewhere the two are equal.
+
+Ports: base (channels, rows, cols) float32, lights (layers, channels, R, S) float32 in the base's unit, alphas (layers,
+R, S) float32 [1], places (E, 2) int32, members (n, E) int32, radii (n, E) float32 [sample], points (M, 3) float32 ->
+(channels, rows, cols) float32. R = rows + 2 margin, S = cols + 2 margin.
+"""
+
+import functools
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.kernels.common.border import BORDERS
+from gpusim.kernels.stage import Array, Case, stage
+
+
+@stage
+def occlude(
+    device: Device,
+    base: Array,
+    lights: Array,
+    alphas: Array,
+    places: Array,
+    members: Array,
+    radii: Array,
+    points: Array,
+    border: str,
+    margin: int = 0,
+) -> Array:
+    """Return composed layers with the covariance over the pupil at some places.
+
+    Args:
+        base: Layers composed by products, shape (channels, rows, cols).
+        lights: Light of each layer times its coverage, without blur, shape (layers, channels, rows
+            + 2 margin, cols + 2 margin).
+        alphas: Coverage of each layer [1], shape (layers, rows + 2 margin, cols + 2 margin).
+        places: Row and column of each place in `base`, all different, shape (E, 2).
+        members: Layers that take part at each place, the nearest first, -1 for none, shape (n, E).
+        radii: Radius of their blur, signed, positive beyond the focus [sample], shape (n, E).
+        points: y, x and share of the light of points of the pupil [1], shape (M, 3).
+        border: "zero", "edge" or "reflect"; coverage goes on at the edge of a dark world.
+        margin: Samples on each side of the layers that are not in the result.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        The light, shape (channels, rows, cols), float32, not below 0 at the places.
+
+    Source:
+        Potmesil and Chakravarty, Computer Graphics 15 (1981), for the rays; the sum is their mean.
+    """
+    channels, rows, cols = base.shape
+    sheets, count = members.shape
+    base, lights, alphas = device.array(base), device.array(lights), device.array(alphas)
+    defines = {"BORDER": BORDERS[border], "SHEETS": max(sheets, 1)}
+    launch = functools.partial(device.launch, "optics.occlude", defines=defines)
+    out = device.empty((channels, rows, cols))
+    launch("begin", out.shape, base, out, *out.shape)
+    if count:
+        chosen = [device.array(places, np.int32), device.array(members, np.int32)]
+        arrays = [lights, alphas, *chosen, device.array(radii), device.array(points), out]
+        sizes = [margin, points.shape[0], count, rows, cols, *lights.shape[1:]]
+        launch("occlude", (channels, count), *arrays, *sizes)
+    return out
+
+
+def operations(base, lights, alphas, places, members, radii, points, border, margin=0) -> float:
+    """Return the multiplications and additions: 12 for each point of each layer at each place, in each channel."""
+    return 12.0 * base.shape[0] * members.shape[0] * members.shape[1] * points.shape[0]
+
+
+def cases():
+    """Yield cases: one place, several layers, gaps among the members, every border, a margin, wide and flipped blurs."""
+    random = np.random.default_rng(35)
+    why = (
+        "the places of the samples are rounded alike; each of M shares, products and sums of positive terms rounds by "
+        "half an ulp, and the two sums are below the brightest light of the layers"
+    )
+    for layers, channels, rows, cols, places, points, border, margin in (
+        (2, 1, 1, 1, 1, 1, "edge", 0),
+        (2, 3, 33, 41, 60, 40, "edge", 0),
+        (3, 4, 20, 65, 130, 64, "zero", 0),
+        (5, 2, 12, 9, 40, 33, "reflect", 3),
+        (2, 3, 8, 8, 0, 5, "edge", 0),
+    ):
+        shape = rows + 2 * margin, cols + 2 * margin
+        alphas = np.rint(1.5 * random.random((layers, *shape))).clip(0, 1)
+        alphas[0] *= random.random(shape)
+        alphas[-1] = 1
+        lights = alphas[:, None] * 10.0 ** random.uniform(-2, 3, (layers, channels, *shape))
+        at = random.permutation(rows * cols)[:places]
+        members = np.sort(random.random((layers, places)), axis=0).argsort(axis=0)
+        members[1:-1][random.random((layers - 2, places)) < 0.3] = -1
+        radius = random.uniform(0, 1, points) ** 0.5
+        angle = 2 * np.pi * random.random(points)
+        shares = random.uniform(0.5, 1, points)
+        disc = [radius * np.sin(angle), radius * np.cos(angle), shares / shares.sum()]
+        yield Case(
+            f"{rows}x{cols}, {layers} layers, {places} places, {points} points, {border}, margin {margin}",
+            {
+                "base": random.random((channels, rows, cols), np.float32),
+                "lights": lights.astype(np.float32),
+                "alphas": alphas.astype(np.float32),
+                "places": np.stack(np.unravel_index(at, (rows, cols)), axis=1).astype(np.int32),
+                "members": members.astype(np.int32),
+                "radii": random.uniform(-9, 9, (layers, places)).astype(np.float32),
+                "points": np.stack(disc, axis=1).astype(np.float32),
+                "border": border,
+                "margin": margin,
+            },
+            4 * layers * (points + layers) * 2.0**-24 * lights.max(),
+            why,
+            metric="exact",
+        )
+
+
+def bench(rows, cols):
+    """Return inputs: two layers, three channels, a twentieth of the pixels, 200 points."""
+    random = np.random.default_rng(35)
+    count = rows * cols // 20
+    at = np.arange(count) * 20
+    angle = 2.4 * np.arange(200)
+    radius = np.sqrt((np.arange(200) + 0.5) / 200)
+    alphas = np.ones((2, rows, cols), np.float32)
+    alphas[0, :, : cols // 2] = 0
+    return {
+        "base": random.random((3, rows, cols), np.float32),
+        "lights": alphas[:, None] * random.random((2, 3, rows, cols), np.float32),
+        "alphas": alphas,
+        "places": np.stack(np.unravel_index(at, (rows, cols)), axis=1).astype(np.int32),
+        "members": np.repeat(np.arange(2, dtype=np.int32)[:, None], count, 1),
+        "radii": np.repeat(np.array([[-4.0], [4.0]], np.float32), count, 1),
+        "points": np.stack(
+            [radius * np.sin(angle), radius * np.cos(angle), np.full(200, 1 / 200)], axis=1
+        ).astype(np.float32),
+        "border": "edge",
+    }

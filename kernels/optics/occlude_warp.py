@@ -1,0 +1,101 @@
+"""One place in one channel per thread, all points of the pupil; gathers from a neighbourhood."""
+
+# mypy: ignore-errors
+from functools import cache
+
+import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
+
+from gpusim.kernels.common.border_warp import inside
+
+# every operation is rounded on its own, so that every device rounds to the same samples
+OPTIONS = {"enable_backward": False, "fuse_fp": False}
+wp.set_module_options(OPTIONS)
+
+
+@wp.kernel
+def begin(
+    # in:
+    base: wp.array3d[float],
+    # out:
+    out: wp.array3d[float],
+    # sizes:
+    channels: int,
+    rows: int,
+    cols: int,
+):
+    c, y, x = wp.tid()
+    out[c, y, x] = base[c, y, x]
+
+
+@cache
+def specialise(kernel, BORDER=1, SHEETS=1):
+    """Return the kernel of this name; constants as in OpenCL."""
+    if kernel == "begin":
+        return begin
+    numbers, integers = (wp.types.vector(length=SHEETS, dtype=kind) for kind in (float, int))
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def occlude(
+        # in:
+        lights: wp.array4d[float],
+        alphas: wp.array3d[float],
+        places: wp.array2d[int],
+        members: wp.array2d[int],
+        radii: wp.array2d[float],
+        points: wp.array2d[float],
+        # out:
+        out: wp.array3d[float],
+        # params:
+        margin: int,
+        # sizes:
+        points_: int,
+        count: int,
+        rows: int,
+        cols: int,
+        channels: int,
+        high: int,
+        wide: int,
+    ):
+        c, e = wp.tid()
+        y = places[e, 0] + margin
+        x = places[e, 1] + margin
+        mean_light = numbers()
+        mean_alpha = numbers()
+        radius = numbers()
+        there = numbers()
+        layer = integers()
+        for s in range(wp.static(SHEETS)):
+            k = members[s, e]
+            layer[s] = wp.max(k, 0)
+            there[s] = wp.where(k < 0, 0.0, 1.0)
+            radius[s] = radii[s, e]
+        exact = float(0.0)
+        for m in range(points_):
+            v = points[m, 0]
+            u = points[m, 1]
+            share = points[m, 2]
+            through = float(1.0)
+            for s in range(wp.static(SHEETS)):
+                i = y + int(wp.floor(radius[s] * v + 0.5))
+                j = x + int(wp.floor(radius[s] * u + 0.5))
+                to_y = inside(i, high, wp.static(BORDER))
+                to_x = inside(j, wide, wp.static(BORDER))
+                own = there[s] * lights[layer[s], c, to_y, to_x]
+                if wp.static(BORDER == 0):
+                    if i < 0 or i >= high or j < 0 or j >= wide:
+                        own = 0.0
+                covered = there[s] * alphas[layer[s], to_y, to_x]
+                exact += share * (through * own)
+                through *= 1.0 - covered
+                mean_light[s] += share * own
+                mean_alpha[s] += share * covered
+        product = float(0.0)
+        before = float(1.0)
+        for s in range(wp.static(SHEETS)):
+            product += before * mean_light[s]
+            before *= 1.0 - mean_alpha[s]
+        at_y = places[e, 0]
+        at_x = places[e, 1]
+        out[c, at_y, at_x] = wp.max(out[c, at_y, at_x] + (exact - product), 0.0)
+
+    return occlude
