@@ -195,7 +195,7 @@ def axis_of(scene, camera) -> tuple[float, float]:
 def distorted(scene, camera, planes, beyond, order=None):
     """Return samples displaced by the lens, with `beyond` more on each side.
 
-    order 0: values of the nearest sample, without scaling its light.
+    order: of splines between samples, without scaling their light; None: band-limited light.
     """
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
     y, x = np.meshgrid(
@@ -208,10 +208,10 @@ def distorted(scene, camera, planes, beyond, order=None):
         if not beyond:
             raise
         return distorted(scene, camera, planes, 0)
-    if order == 0:
+    if order is not None:
         places = [at / pitch + (n - 1) / 2 for at, n in zip((v, u), planes.shape[1:], strict=True)]
         return np.stack(
-            [map_coordinates(plane, places, order=0, mode="nearest") for plane in planes]
+            [map_coordinates(plane, places, order=order, mode="nearest") for plane in planes]
         )
     return band_limited(planes, v / pitch, u / pitch, scene.border) * area
 
