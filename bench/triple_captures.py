@@ -21,6 +21,7 @@ from gpusim.apps.routes import Held
 from gpusim.apps.video.scenes import Moving, Still
 from gpusim.apps.video.video import blurred_frames, frames
 from gpusim.domain.errors import OutOfRange
+from gpusim.judge.combinations import NoWay
 
 PERIOD = 1 / 30  # [s] of a video
 STEP = 0.3  # [sample] between instants
@@ -66,7 +67,7 @@ def exposures(question, simulator) -> list[Asked]:
                 frame.rgb  # noqa: B018  to find crashes
             if "reads" in names:
                 if moves:
-                    raise OutOfRange("reads", "of a moving scene", "a way in the API")
+                    raise NoWay("reads of a moving scene")
                 gs.read_nondestructively(simulator, made_scene(scene, view), [seconds / 2, seconds])
             found.append(_asked(simulator, made, None if moves else view, start))
     return found
@@ -89,7 +90,7 @@ def _outputs(question, simulator, moves):
         names & {"motion", "rolling shutter"} if names & {"preview", "batch"} else set()
     )
     if special:
-        raise OutOfRange("captures", ", ".join(sorted(names)), "a way in the API")
+        raise NoWay(", ".join(sorted(special)))
     path = question.motion
     if "video" in names:
         still = Still(scene, 2)

@@ -164,6 +164,7 @@ def _geometry(random, names, shape, pitch):
     rows, cols = shape
     corner = np.hypot(rows, cols) / 2
     strength = float(random.choice((-1, 1)) * random.uniform(0.5, 3)) / corner  # at the corner
+    strength = max(strength, -0.04)  # one to one, also around the frame
     focal = corner * float(random.uniform(1.0, 2.5))  # [pixel]
     k1 = strength * (focal / corner) ** 2
     is_bent = bool(names & {"distortion", "calibration"})
@@ -178,7 +179,7 @@ def _geometry(random, names, shape, pitch):
         return Fisheye(0.1 * k1 if is_bent else 0.0, 0.0, 0.0, 0.0, focal * pitch)
     if random.random() < 0.5:
         return RadialPolynomial(0.0, strength, corner * pitch)
-    ideal = np.linspace(0, 1.4 * corner * pitch, 8)
+    ideal = np.linspace(0, 2.5 * corner * pitch, 14)
     return RadialTable(ideal, ideal * (1 + strength * (ideal / (corner * pitch)) ** 2))
 
 

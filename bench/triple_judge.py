@@ -24,6 +24,7 @@ import triple_scenes
 import gpusim as gs
 from gpusim.domain.account import SAFETY, Tolerance
 from gpusim.domain.errors import GpusimError, OutOfRange
+from gpusim.judge.combinations import NoWay
 from gpusim.pipeline.report import Error
 
 KINDS = {
@@ -71,6 +72,8 @@ def asked(
             "status": "too slow",
             "text": f"more than {limit} s, in {row.get('doing', 'drawing')}",
         }
+    except NoWay as reason:
+        row |= {"status": "no way", "text": f"no way in the API: {reason}"}
     except GpusimError as refusal:
         row |= {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
     except Exception as error:  # count failures instead of ignoring them
@@ -260,6 +263,7 @@ def summary(rows: list[dict]) -> str:
     unsure = [row for row in says["not judged"] if row["within"] is not None]
     found = [
         f"{len(rows)} asked: {len(good)} answered, {sum(row['status'] == 'refused' for row in rows)} refused, "
+        f"{sum(row['status'] == 'no way' for row in rows)} without a way in the API, "
         f"{sum(row['status'] == 'too slow' for row in rows)} too slow, "
         f"{sum(row['status'] == 'crash' for row in rows)} crashed; judged by independent sums: "
         f"{sum(row['within'] is not None for row in good)}",
@@ -277,7 +281,9 @@ def summary(rows: list[dict]) -> str:
         for row in false
     ]
     reasons = Counter(
-        row["text"].partition(", got")[0][:110] for row in rows if row["status"] == "refused"
+        row["text"].partition(", got")[0][:110]
+        for row in rows
+        if row["status"] in ("refused", "no way")
     )
     found += [f"refused {count} times: {text}" for text, count in reasons.most_common()]
     found += [

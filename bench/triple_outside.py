@@ -128,13 +128,13 @@ def displaced(scene, camera, light, cover, distances):
     light = light * cover
     if not scene.view.is_plain:
         light = seen_by_view(scene, light)
-        places = view_places(scene, cover.shape)
-        places = [at + (n - 1) / 2 for at, n in zip(places, cover.shape, strict=True)]
-        cover = map_coordinates(cover, places, order=1, mode="nearest")
+        cover = seen_by_view(scene, cover[None])[0]
+        places = view_places(scene, distances.shape)
+        places = [at + (n - 1) / 2 for at, n in zip(places, distances.shape, strict=True)]
         distances = map_coordinates(distances, places, order=0, mode="nearest")
     if camera.optics.distortion is not None:
         light = distorted(scene, camera, light, 0)
-        cover = distorted(scene, camera, cover[None], 0, order=1)[0]
+        cover = distorted(scene, camera, cover[None], 0, is_flux=False)[0]
         distances = distorted(scene, camera, distances[None], 0, order=0)[0]
     return light, cover, distances
 
