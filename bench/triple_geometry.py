@@ -192,10 +192,11 @@ def axis_of(scene, camera) -> tuple[float, float]:
     )
 
 
-def distorted(scene, camera, planes, beyond, order=None):
+def distorted(scene, camera, planes, beyond, order=None, is_flux=True):
     """Return samples displaced by the lens, with `beyond` more on each side.
 
-    order 0: values of the nearest sample, without scaling its light.
+    order: of splines between samples, without scaling their light; None: band-limited. is_flux:
+    whether they are brighter where the lens crowds points.
     """
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
     y, x = np.meshgrid(
@@ -207,13 +208,13 @@ def distorted(scene, camera, planes, beyond, order=None):
     except OutOfRange:
         if not beyond:
             raise
-        return distorted(scene, camera, planes, 0)
-    if order == 0:
+        return distorted(scene, camera, planes, 0, order, is_flux)
+    if order is not None:
         places = [at / pitch + (n - 1) / 2 for at, n in zip((v, u), planes.shape[1:], strict=True)]
         return np.stack(
-            [map_coordinates(plane, places, order=0, mode="nearest") for plane in planes]
+            [map_coordinates(plane, places, order=order, mode="nearest") for plane in planes]
         )
-    return band_limited(planes, v / pitch, u / pitch, scene.border) * area
+    return band_limited(planes, v / pitch, u / pitch, scene.border) * (area if is_flux else 1)
 
 
 def falloff(scene, camera) -> np.ndarray:

@@ -15,6 +15,8 @@ from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
+import triple_captures
+import triple_features
 import triple_mixed
 import triple_outside
 import triple_scenes
@@ -22,9 +24,15 @@ import triple_scenes
 import gpusim as gs
 from gpusim.domain.account import SAFETY, Tolerance
 from gpusim.domain.errors import GpusimError, OutOfRange
+from gpusim.judge.combinations import NoWay
 from gpusim.pipeline.report import Error
 
-KINDS = {"old": triple_mixed.OLD, "combined": triple_mixed.MIXED}
+KINDS = {
+    "old": triple_mixed.OLD,
+    "combined": triple_mixed.MIXED,
+    "features": triple_features.DEVELOPMENT,
+    "features-held-out": triple_features.HELD_OUT,
+}
 LIMIT = 150  # [s] for a question
 JUST = 0.98  # a tolerance "near" over the planner's limit
 SURE = 1e-6  # of the frame's light: accuracy of the sums, in addition to a share of each pixel's
@@ -43,13 +51,11 @@ def asked(
     limit: time limit [s]. only_met: skip the sums for frames that are not reported as met.
     """
     row: dict = {"name": f"{kinds} {seed}", "seed": seed, "kinds": kinds, "words": f"{seed}"}
-    began = time.perf_counter()
+    began, rows = time.perf_counter(), [row]
     signal.signal(signal.SIGALRM, _give_up)
     signal.alarm(limit)
     try:
-        question = (
-            triple_mixed.triple(seed) if kinds == "combined" else triple_scenes.triple(seed, data)
-        )
+        question = _question(seed, kinds, data)
         if question is None:
             return []
         row |= {
@@ -57,12 +63,17 @@ def asked(
             "features": question.features,
             "tolerance": question.tolerance,
         }
-        row |= _answered(question, device, row, only_met)
+        if kinds.startswith("features"):
+            rows = [row | one for one in _captured(question, device, row, only_met)]
+        else:
+            row |= _answered(question, device, row, only_met)
     except TookTooLong:
         row |= {
             "status": "too slow",
             "text": f"more than {limit} s, in {row.get('doing', 'drawing')}",
         }
+    except NoWay as reason:
+        row |= {"status": "no way", "text": f"no way in the API: {reason}"}
     except GpusimError as refusal:
         row |= {"status": "refused", "text": f"{type(refusal).__name__}: {refusal}"}
     except Exception as error:  # count failures instead of ignoring them
@@ -72,7 +83,37 @@ def asked(
         }
     finally:
         signal.alarm(0)
-    return [row | {"seconds": time.perf_counter() - began}]
+    return [one | {"seconds": time.perf_counter() - began} for one in rows]
+
+
+def _question(seed, kinds, data):
+    """Return the question of a seed, None if its data is missing."""
+    if kinds.startswith("features"):
+        return triple_features.triple(seed)
+    return triple_mixed.triple(seed) if kinds == "combined" else triple_scenes.triple(seed, data)
+
+
+def _captured(question, device, row, only_met):
+    """Yield the verdict on each exposure of a question with captures, and the result of the sums."""
+    row["doing"], began = "the frames", time.process_time()
+    simulator = gs.Simulator(question.camera, device=device, tolerance=question.tolerance)
+    asked = triple_captures.exposures(question, simulator)
+    planning, tolerance = time.process_time() - began, Tolerance.parse(question.tolerance)
+    for number, one in enumerate(asked):
+        row["doing"] = f"the outside's sums of frame {number + 1} of {len(asked)}"
+        found = {"status": "ok", "planning_s": planning, "frame": number}
+        found |= _verdict(one.account, tolerance) | {"left_out": list(one.left_out)}
+        if only_met and found["state"] != "met":
+            yield found | {"within": None, "why": "not called met"}
+            continue
+        began = time.process_time()
+        try:
+            truth = triple_captures.answers(question, one)
+        except (OutOfRange, MemoryError) as reason:
+            yield found | {"within": None, "why": str(reason)[:160]}
+            continue
+        found |= _compared(truth, one.mean, question.camera.sensor.read_sigma, tolerance)
+        yield found | {"truth_s": time.process_time() - began}
 
 
 def _give_up(*_):
@@ -96,8 +137,19 @@ def _answered(question, device, row, only_met):
     exposure = simulator.expose(question.scene)
     tolerance = Tolerance.parse(question.tolerance)
     account = exposure.plan.account.at(exposure.exposure_time)
+    row |= _verdict(account, tolerance) | {"left_out": plan.left_out, "doing": "the frame"}
+    exposure.frame()  # noise, raw values and the picture
+    mean = np.array(simulator.device.numpy(exposure.mean), np.float64)
+    row |= {"doing": "the outside's sums"}
+    if only_met and row["state"] != "met":
+        return {"status": "ok", "within": None, "why": "not called met"}
+    return {"status": "ok"} | _outside(question, exposure.exposure_time, mean, tolerance)
+
+
+def _verdict(account, tolerance):
+    """Return the planner's verdict and its figures."""
     verdict = account.verdict(tolerance)
-    row |= {
+    return {
         "state": getattr(verdict, "state", "met" if verdict.is_met else "not met"),
         "verdict": str(verdict),
         "predicted": {
@@ -109,15 +161,7 @@ def _answered(question, device, row, only_met):
             name: bound.rms if np.isfinite(bound.rms) else None
             for name, bound in account.bounds.items()
         },
-        "left_out": plan.left_out,
-        "doing": "the frame",
     }
-    exposure.frame()  # noise, raw values and the picture
-    mean = np.array(simulator.device.numpy(exposure.mean), np.float64)
-    row |= {"doing": "the outside's sums"}
-    if only_met and row["state"] != "met":
-        return {"status": "ok", "within": None, "why": "not called met"}
-    return {"status": "ok"} | _outside(question, exposure.exposure_time, mean, tolerance)
 
 
 def _moved(question, simulator):
@@ -134,10 +178,15 @@ def _outside(question, seconds, mean, tolerance):
         found = triple_outside.answers(question.scene, question.camera, seconds)
     except (OutOfRange, MemoryError) as reason:
         return {"within": None, "why": str(reason)[:160]}
+    compared = _compared(found, mean, question.camera.sensor.read_sigma, tolerance)
+    return compared | {"truth_s": time.process_time() - began}
+
+
+def _compared(found, mean, read, tolerance):
+    """Return whether mean electrons are within a tolerance by the answers of the sums."""
     off, true = found.distance(mean)
     size = float(np.sqrt(np.mean(true**2)))
     sure = np.maximum(off - found.sure * true - SURE * size, 0)
-    read = question.camera.sensor.read_sigma
     raw, least = Error.between(true + off, true, read), Error.between(true + sure, true, read)
     is_open = not raw.meets(tolerance) and least.meets(tolerance)
     return {
@@ -147,7 +196,6 @@ def _outside(question, seconds, mean, tolerance):
         "over": raw.nearest(tolerance)[0],
         "true": {"rms": raw.rms, "p999_sigma": raw.p999_sigma, "max_sigma": raw.max_sigma},
         "answers": len(found.means),
-        "truth_s": time.process_time() - began,
         "gain": float(mean.sum() / true.sum()) if true.sum() else 1.0,
     }
 
@@ -215,6 +263,7 @@ def summary(rows: list[dict]) -> str:
     unsure = [row for row in says["not judged"] if row["within"] is not None]
     found = [
         f"{len(rows)} asked: {len(good)} answered, {sum(row['status'] == 'refused' for row in rows)} refused, "
+        f"{sum(row['status'] == 'no way' for row in rows)} without a way in the API, "
         f"{sum(row['status'] == 'too slow' for row in rows)} too slow, "
         f"{sum(row['status'] == 'crash' for row in rows)} crashed; judged by independent sums: "
         f"{sum(row['within'] is not None for row in good)}",
@@ -232,7 +281,9 @@ def summary(rows: list[dict]) -> str:
         for row in false
     ]
     reasons = Counter(
-        row["text"].partition(", got")[0][:110] for row in rows if row["status"] == "refused"
+        row["text"].partition(", got")[0][:110]
+        for row in rows
+        if row["status"] in ("refused", "no way")
     )
     found += [f"refused {count} times: {text}" for text, count in reasons.most_common()]
     found += [

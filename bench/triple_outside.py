@@ -8,9 +8,10 @@ Independent of planner, kernels and reference. Assumptions:
   to stay flat.
 - Between samples the scene is band-limited; views and distortion use these values. The border rule
   continues it.
-- Nearer things hide farther ones. A picture with depth does not show the hidden parts, so there are
-  two answers: all light spread without hiding, and a composition of layers with the picture
-  continued behind them.
+- Nearer things hide farther ones, at each point of the pupil (`triple_rays.py`). A picture with
+  depth does not show the hidden parts, so there are three answers: all light spread without hiding,
+  and compositions of layers with the picture continued behind them, with and without the covariance
+  over the pupil.
 - Spectra of the scene are cubic splines between its wavelengths; light, filters and efficiencies
   are as tabulated.
 
@@ -18,15 +19,16 @@ Each open question gives one more answer; the error of a frame is its distance f
 between the answers.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
 import scipy.fft
 import triple_brute as brute
-from scipy.ndimage import distance_transform_edt
+from scipy.ndimage import distance_transform_edt, map_coordinates
 from triple_geometry import AROUND, band_limited, channel_weights, distorted, falloff, few
 from triple_lens import Lens, apertures, edges, kernels, measured_kernels, steepest, tail
+from triple_rays import hidden_difference
 
 from gpusim.domain.errors import OutOfRange
 
@@ -64,22 +66,13 @@ def answers(scene, camera, seconds: float, wide: float = 1.0) -> Answers:
     wide: factor on the reach within which all light is summed; 3 takes a few times as long and errs by 1e-5.
     """
     require(scene, camera)
-    planes = [spectra(scene.content, band) for band in range(len(scene.wavelengths))]
-    worlds, rim = [np.stack(planes)], 0
-    if not scene.view.is_plain:
-        worlds = [seen_by_view(scene, worlds[0])]
-    if camera.optics.distortion is not None:
-        rim = SAFE
-        worlds = [distorted(scene, camera, worlds[0], beyond) for beyond in (0, AROUND)]
-    if scene.depth is not None and camera.optics.distortion is not None:
-        scene, worlds = flat_depth(scene, camera, worlds[0])
-    means = []
-    lens = Lens(scene, camera, wide=wide)
-    for world in worlds:
-        more = (np.array(world.shape[1:]) - scene.content.shape) // 2
-        for kind in ("spread", "layers") if scene.depth is not None else ("spread",):
-            means.append(exposed(rates(lens, world, int(more[0]), kind), scene, camera, seconds))
+    planes = planes_of(scene)
+    if not scene.view.is_plain and scene.depth is None:
+        planes = seen_by_view(scene, planes)
+    found = rates_of_world(Lens(scene, camera, wide=wide), scene, camera, planes)
+    means = [exposed(one, scene, camera, seconds) for one in found]
     optics, sensor = camera.optics, camera.sensor
+    rim = 0 if optics.distortion is None else SAFE
     q = (
         scene.wavelengths.min()
         * 1e-9
@@ -92,17 +85,58 @@ def answers(scene, camera, seconds: float, wide: float = 1.0) -> Answers:
     return Answers(means, min(rim, (min(scene.shape) - 1) // 3), 5e-4 if is_uneven else 3e-5)
 
 
-def flat_depth(scene, camera, _world):
-    """Return a scene with depth as the lens displaces it.
+def planes_of(scene) -> np.ndarray:
+    """Return the light of every wavelength, float64 (L, rows, cols)."""
+    return np.stack([spectra(scene.content, band) for band in range(len(scene.wavelengths))])
 
-    It is one picture; each sample has the distance of the nearest original one.
+
+def rates_of_world(lens, scene, camera, planes) -> list:
+    """Return electrons per second (C, rows, cols), one array for each answer.
+
+    planes: light of the scene as the view shows it. A scene with depth is cut into sheets first;
+    its view and the lens displace each sheet.
     """
-    planes = np.stack([spectra(scene.content, band) for band in range(len(scene.wavelengths))])
-    ((light, _, depth),) = sheets_of(scene, planes, "spread")
-    flat = replace(scene, layers=(), depth=depth)
-    return replace(flat, depth=distorted(flat, camera, depth[None], 0, order=0)[0]), [
-        distorted(flat, camera, light, 0)
-    ]
+    if scene.depth is None:
+        worlds = [planes]
+        if camera.optics.distortion is not None:
+            worlds = [distorted(scene, camera, planes, beyond) for beyond in (0, AROUND)]
+        found = []
+        for world in worlds:
+            more = (world.shape[1] - planes.shape[1]) // 2
+            found.append(rates(lens, world, more, [(world, np.ones(world.shape[1:]), None)]))
+        return found
+    levels = len(np.unique(scene.depth))
+    kinds = ["whole"] if scene.layers else ["spread"]
+    kinds += ["cut"] * (2 <= levels <= 3)
+    found = []
+    for kind in kinds:
+        sheets = [displaced(scene, camera, *one) for one in sheets_of(scene, planes, kind)]
+        own = rates(lens, planes, 0, sheets)
+        if len(sheets) == 1:
+            found.append(own)
+            continue
+        if not scene.layers:  # one picture: hiding is an open question
+            found.append(own)
+        _, _, first = apertures(scene, camera)
+        weights = channel_weights(scene, camera)
+        found.append(own + hidden_difference(lens, sheets, weights, first, by_distance))
+    return found
+
+
+def displaced(scene, camera, light, cover, distances):
+    """Return a sheet as the view and the lens displace it: light times coverage, coverage, distances."""
+    light = light * cover
+    if not scene.view.is_plain:
+        light = seen_by_view(scene, light)
+        cover = seen_by_view(scene, cover[None])[0]
+        places = view_places(scene, distances.shape)
+        places = [at + (n - 1) / 2 for at, n in zip(places, distances.shape, strict=True)]
+        distances = map_coordinates(distances, places, order=0, mode="nearest")
+    if camera.optics.distortion is not None:
+        light = distorted(scene, camera, light, 0)
+        cover = distorted(scene, camera, cover[None], 0, is_flux=False)[0]
+        distances = distorted(scene, camera, distances[None], 0, order=0)[0]
+    return light, cover, distances
 
 
 def spectra(content, band) -> np.ndarray:
@@ -134,15 +168,17 @@ def require(scene, camera):
 
 def seen_by_view(scene, planes):
     """Return the samples that a view shows, continued beyond the scene by the border rule."""
+    down, across = view_places(scene, planes.shape[1:])
+    return band_limited(planes, down, across, scene.border)
+
+
+def view_places(scene, shape):
+    """Return the places that a view shows, from the middle of the samples: rows and columns."""
     view, ratio = scene.view, scene.samples_per_pixel
-    y, x = (np.arange(n) - (n - 1) / 2 for n in planes.shape[1:])
+    y, x = (np.arange(n) - (n - 1) / 2 for n in shape)
     cos, sin = np.cos(view.rotation) / view.zoom, np.sin(view.rotation) / view.zoom
     y, x = np.meshgrid(y, x, indexing="ij")
-    down, across = (
-        cos * y + sin * x + ratio * view.shift[0],
-        cos * x - sin * y + ratio * view.shift[1],
-    )
-    return band_limited(planes, down, across, scene.border)
+    return cos * y + sin * x + ratio * view.shift[0], cos * x - sin * y + ratio * view.shift[1]
 
 
 def reach_of(lens, planes) -> int:
@@ -213,37 +249,26 @@ def shares_of(lens, more, reach):
 def sheets_of(scene, planes, kind):
     """Return layers, nearest first: light (L, rows, cols), coverage, distances, both (rows, cols).
 
-    kind: "layers", or "spread" for the visible picture without hiding.
+    kind: "spread", the visible picture without hiding; "whole", the layers of the scene before its
+    picture; "cut", these with the picture cut at its distances and continued behind the nearer ones.
     """
-    shape = planes.shape[1:]
-    whole = np.ones(shape)
-    if scene.depth is None:
-        return [(planes, whole, None)]
-    found = []
+    shape, found = planes.shape[1:], []
+    whole, depth = np.ones(shape), np.asarray(scene.depth, float)
     for layer in scene.layers:
         light = np.stack([spectra(layer.content, band) for band in range(len(planes))])
         found.append((light, np.asarray(layer.alpha, float), np.broadcast_to(layer.depth, shape)))
-    behind = planes, whole, np.asarray(scene.depth, float)
-    if kind == "layers" and scene.layers:
-        return [*found, behind]
-    light, depth = planes, behind[2]
-    for own, alpha, its in reversed(found):
-        light, depth = np.where(alpha >= 0.5, own, light), np.where(alpha >= 0.5, its, depth)
-    levels = np.unique(depth)
-    if kind == "spread" or len(levels) > 3:
-        return [(light, whole, depth)]
-    sheets = []
-    for level in levels:
+    if kind != "cut":
+        return [*found, (planes, whole, depth)]
+    for level in np.unique(depth):
         nearer = depth < level
         rows, cols = (
             distance_transform_edt(nearer, return_distances=False, return_indices=True)
             if nearer.any()
-            else (np.indices(shape))
+            else np.indices(shape)
         )
-        sheets.append(
-            (light[:, rows, cols], (depth[rows, cols] == level) * 1.0, np.full(shape, level))
-        )
-    return sheets
+        cover = (depth[rows, cols] == level) * 1.0
+        found.append((planes[:, rows, cols], cover, np.full(shape, level)))
+    return found
 
 
 def by_distance(distances):
@@ -266,10 +291,11 @@ def by_distance(distances):
     return found
 
 
-def rates(lens, planes, more, kind) -> np.ndarray:
+def rates(lens, planes, more, sheets) -> np.ndarray:
     """Return electrons per second of every channel at every pixel, before the fall-off.
 
-    Shape (C, rows, cols). more: samples on each side of `planes` outside the scene.
+    Shape (C, rows, cols). more: samples on each side of `planes` outside the scene. sheets: light
+    times coverage, coverage and distances, nearest first.
     """
     scene, camera = lens.scene, lens.camera
     weights = channel_weights(scene, camera)
@@ -296,7 +322,7 @@ def rates(lens, planes, more, kind) -> np.ndarray:
         )
     reach = reach_of(lens, planes)
     points, shares = shares_of(lens, more, reach + room)
-    sheets, shown = sheets_of(scene, planes, kind), sheets_of(scene, planes, "spread")[0][0]
+    shown = sheets[-1][0]
     hidden = sheets_afar(lens, sheets, reach, room) if len(sheets) > 1 else []
     chosen = np.ix_(
         *(room + more + at + ratio * np.arange(n) for at, n in zip(first, scene.shape, strict=True))
@@ -395,7 +421,7 @@ def composed(spread, sheets, afar):
         for distance, share in (
             [(None, np.ones(light.shape))] if distances is None else by_distance(distances)
         ):
-            mine = mine + spread.gathered(light * alpha * share, distance, brute.MODES[border])
+            mine = mine + spread.gathered(light * share, distance, brute.MODES[border])
             if afar:
                 cover = cover + spread.gathered(
                     alpha * share, distance, "symmetric" if border == "reflect" else "edge"
@@ -419,7 +445,7 @@ def sheets_afar(lens, sheets, reach, room):
     if lens.camera.optics.model == "measured":
         return [(np.zeros(len(sheets[0][0])), 0.0)] * len(sheets)
     for light, alpha, _ in sheets:
-        planes, mixes = few(light * alpha)
+        planes, mixes = few(light)
         places = [np.arange(-room, n + room, dtype=float) for n in alpha.shape]
         more, cover = (
             sum(

@@ -1,7 +1,7 @@
 """`gpusim verify`, `bench` and `devices`: errors and speed of the stages of every device."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 from gpusim.cli.options import Options, flag, option, size, write_json
 from gpusim.domain.errors import UnknownName
@@ -31,6 +31,18 @@ class VerifyRequest(StageRequest):
 
     hard: bool = flag(
         "run the 30 hard cases instead of the stages: the limit of each, and the result"
+    )
+    combinations: bool = flag(
+        "make small frames with every pair of features instead, and print the matrix"
+    )
+    feature: list[str] | tuple = option(
+        default=(),
+        action="append",
+        metavar="NAME",
+        help="of --combinations; may be repeated (default: all features)",
+    )
+    tolerance: str | None = option(
+        metavar="TOLERANCE", help="of the frames of --combinations (default: exact frames)"
     )
 
 
@@ -76,8 +88,12 @@ def verify(request: VerifyRequest) -> int:
     from gpusim.judge.verify import verify_devices
 
     check_output(request.json)
+    if request.combinations:
+        return _verify_combinations(request)
     if request.hard:
         request.refuse("stage", "--hard runs cases instead of stages", "leave one of them out")
+    for name in ("feature", "tolerance"):
+        request.refuse(name, "only --combinations uses it", "leave it out, or add --combinations")
     device, stages = request.device, _check_stages(request.stage)
     request.refuse_unread("verify")
     show = _hard_line if request.hard else _stage_line
@@ -85,6 +101,45 @@ def verify(request: VerifyRequest) -> int:
     for row in _hard_rows(device) if request.hard else verify_devices(device, stages):
         rows.append(row)
         print(show(row), flush=True)
+    failed = sum(not row["ok"] for row in rows)
+    print(f"{len(rows) - failed} passed, {failed} failed")
+    _write_rows(request.json, rows)
+    return 1 if failed or not rows else 0
+
+
+def _verify_combinations(request):
+    """Run `gpusim verify --combinations`."""
+    from functools import partial
+
+    from gpusim.apps.routes import make
+    from gpusim.domain.account import Tolerance
+    from gpusim.judge.combinations import NAMES, combinations, matrix, reasons
+
+    for name in ("hard", "stage"):
+        reason = "--combinations makes frames of pairs of features"
+        request.refuse(name, reason, "leave one of them out")
+    for name in request.feature:
+        if name not in NAMES:
+            raise UnknownName("feature", name, NAMES)
+    tolerance = request.tolerance
+    if tolerance is not None:
+        Tolerance.parse(tolerance)
+    names = request.feature or NAMES
+    (devices, broken), rows = _open_devices(request.device), []
+    request.refuse_unread("verify --combinations")
+    for device in devices:
+        cells = []
+        for cell in combinations(device, partial(make, tolerance=tolerance), names):
+            cells.append(cell)
+            start = f"{'ok  ' if cell.is_good else 'FAIL'} {device.name:10s} {len(cells):3d}"
+            pair = cell.first if cell.first == cell.second else f"{cell.first} x {cell.second}"
+            why = f": {cell.why}" if cell.why else ""
+            print(f"{start} {pair}: {cell.state}{why}", flush=True)
+            rows.append(asdict(cell) | {"device": device.name, "ok": cell.is_good})
+        print("", *matrix(cells, names), "", *reasons(cells), "", sep="\n")
+    rows += broken
+    for row in broken:
+        print(f"FAIL {row['device']:10s} (open): {row['why']}")
     failed = sum(not row["ok"] for row in rows)
     print(f"{len(rows) - failed} passed, {failed} failed")
     _write_rows(request.json, rows)

@@ -18,20 +18,21 @@ stated):
 - light from afar, on a coarse grid (`optics.outside.unseen_light`): test_border.py;
 - formulas of distortion and relative illumination (`domain.distortion`, `domain.calibration`,
   `optics.geometry`): test_opencv.py, tests/frames/test_geometry.py;
-- layers and kernels by distance (`optics.depth`), and samples that fill their cells if there is no
-  blur: tests/frames/test_depth.py, tests/frames/test_sampling.py.
+- samples that fill their cells if there is no blur: tests/frames/test_sampling.py.
+
+A scene with depth has own sheets, own distances and visibility by rays (`gpusim.judge.truth_depth`):
+test_truth_depth.py.
 """
 
 import dataclasses
-from math import ceil
 
 import numpy as np
 
-from gpusim.judge.truth_blur import blurred_rates, far_rates, period_of
+from gpusim.judge.truth_blur import blurred_rates
+from gpusim.judge.truth_depth import depth_rates
 from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, varying_rates
 from gpusim.judge.truth_lens import require_truth as require_truth
-from gpusim.judge.truth_light import falloff_gain, pixel_places, placed_light, plain_rates
-from gpusim.optics.depth import DepthPlan
+from gpusim.judge.truth_light import falloff_gain, placed_light, plain_rates
 from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.report import Error
@@ -65,7 +66,7 @@ def mean_and_truth(simulator: Simulator, scene, exposure) -> tuple[np.ndarray, n
     """
     mean, camera = np.array(simulator.device.numpy(exposure.mean), np.float32), simulator.camera
     parts = [(slice(None), slice(None))] if lens_of(camera).is_uniform else blocks(scene.shape)
-    found = _electrons(type(simulator), camera, scene, exposure.exposure_time, parts)
+    found = _electrons(camera, scene, exposure.exposure_time, parts)
     if len(parts) == 1:
         return mean, found[0]
     rows = [
@@ -81,7 +82,7 @@ def true_mean(simulator: type[Simulator], camera, scene, plan, exposure_time) ->
     Light between points that are sampled too coarsely may be negative, and is not clipped.
 
     Args:
-        simulator: The class `Simulator`.
+        simulator: The class `Simulator`; the truth does not use it.
         camera: The camera.
         scene: The scene.
         plan: Plan of the frame; the truth does not use it.
@@ -93,55 +94,38 @@ def true_mean(simulator: type[Simulator], camera, scene, plan, exposure_time) ->
     Raises:
         DoesNotFit: The truth needs more memory than there is.
     """
-    del plan
-    return _electrons(
-        simulator, camera, scene, exposure_time, [tuple(slice(0, n) for n in scene.shape)]
-    )[0]
+    del simulator, plan
+    return _electrons(camera, scene, exposure_time, [tuple(slice(0, n) for n in scene.shape)])[0]
 
 
-def _electrons(simulator: type[Simulator], camera, scene, exposure_time, parts):
+def _electrons(camera, scene, exposure_time, parts):
     """Return the mean electrons of parts of a frame: see `true_mean`."""
-    optics, cfa, lens = camera.optics, camera.sensor.cfa_indices, lens_of(camera)
-    light = placed_light(camera, scene)
+    cfa, lens = camera.sensor.cfa_indices, lens_of(camera)
+    within = _within(parts, scene.shape)
     if lens.is_pointlike:
-        rates = plain_rates(
-            np.tensordot(electrons_per_content(scene, camera), light, 1), camera, scene
-        )
+        light, weights = placed_light(camera, scene), electrons_per_content(scene, camera)
+        rates = plain_rates(np.tensordot(weights, light, 1), camera, scene)
+        wanted = [rates[:, *part] for part in within]
     elif scene.depth is not None:
-        rates = _rates_by_depth(
-            simulator, dataclasses.replace(camera, optics=optics.on_axis()), scene, light
-        )
+        wanted = depth_rates(camera, scene, within, lens.is_uniform)
     else:
-        rates = blurred_rates(light, dataclasses.replace(camera, optics=optics.on_axis()), scene)
-    more: list = [0.0] * len(parts)
-    if not lens.is_uniform:
-        more = varying_rates(light, camera, scene, _within(parts, scene.shape))
+        light = placed_light(camera, scene)
+        axis = dataclasses.replace(camera, optics=camera.optics.on_axis())
+        rates = blurred_rates(light, axis, scene)
+        wanted = [rates[:, *part] for part in within]
+        if not lens.is_uniform:
+            more = varying_rates(light, camera, scene, within)
+            wanted = [own + one for own, one in zip(wanted, more, strict=True)]
     gain = exposure_time * falloff_gain(camera, scene)
     y, x = np.indices(scene.shape)
     channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
     found = []
-    for part, own in zip(parts, more, strict=True):
-        electrons = gain[part] * (rates[:, *part] + own)
+    for part, own in zip(parts, wanted, strict=True):
+        electrons = gain[part] * own
         if not camera.sensor.stacked:
             electrons = np.take_along_axis(electrons, channel[part][None], 0)[0]
         found.append(electrons)
     return found
-
-
-def _rates_by_depth(simulator: type[Simulator], camera, scene, light):
-    """Return electrons per second (C, rows, cols), with a depth plan of the reference."""
-    ratio, sensor = scene.samples_per_pixel, camera.sensor
-    pitch, displaced = sensor.pixel_pitch / ratio, ceil(ratio * max(map(abs, sensor.displacement)))
-    depth = simulator(camera, device="numpy").plan(scene).find(DepthPlan)
-    assert depth is not None  # the scene has one
-    reach = depth.reach
-    period = period_of(camera.optics, scene, pitch, reach, displaced)
-    reference = simulator(camera, device="numpy", period=period)
-    own = reference.plan(scene)
-    weights = own.weights / own.flat * own.q
-    return reference.imaging.values(own)["channels"] + far_rates(
-        weights, light, camera.optics, scene, period, pixel_places(camera, scene)
-    )
 
 
 def _within(parts, shape):

@@ -29,21 +29,18 @@ RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the sprea
 CELLS = 32  # of the coarse grid along the reach
 
 
-def period_of(
-    optics: Optics, scene, pitch: float, depth_reach: float = 0.0, displaced: int = 0
-) -> tuple[int, int]:
+def period_of(optics: Optics, scene, pitch: float, displaced: int = 0) -> tuple[int, int]:
     """Return rows and columns of the transforms that a scene needs.
 
     Args:
         optics: The lens.
         scene: The scene.
         pitch: Distance of the samples [m].
-        depth_reach: Reach of the depth plan [sample].
         displaced: Largest displacement of the apertures [sample].
     """
     shape = [n + 2 * scene.margin for n in scene.samples]
     lens = open_lens(optics, pitch)
-    reach = ceil(max(depth_reach, lens.spread(scene.wavelengths))) + 2
+    reach = ceil(lens.spread(scene.wavelengths)) + 2
     if scene.border == "reflect":
         more = 2 * displaced + (0 if lens.tail else 2 * reach)
         return tuple(2 * n * ceil((n + more) / (2 * n)) for n in shape)
@@ -62,27 +59,60 @@ def blurred_rates(light, camera, scene) -> np.ndarray:
         camera: The camera.
         scene: The scene.
     """
+    weights = electrons_per_content(scene, camera)
+    total, evens = np.zeros((len(weights), *scene.shape)), np.ones(len(light))
+    wanted = weights.any(axis=0) & light.any(axis=(1, 2))
+    optics, q, period, places = _period_and_places(camera, scene)
+    for k, seen, even in _near_planes(light, camera, scene, scene.border, wanted):
+        total += weights[:, k, None, None] * seen
+        evens[k] = even
+    return total + far_rates(weights * q / evens, light, optics, scene, period, places)
+
+
+def blurred_planes(light, camera, scene, border: str) -> np.ndarray:
+    """Return the mean irradiance over every pixel, at every wavelength, (L, rows, cols).
+
+    A uniform scene has the value of its samples.
+
+    Args:
+        light: As for `blurred_rates`.
+        camera: The camera.
+        scene: The scene.
+        border: Rule by which the light continues, instead of the scene's.
+    """
+    total, evens = np.zeros((len(light), *scene.shape)), np.ones(len(light))
+    optics, q, period, places = _period_and_places(camera, scene)
+    for k, seen, even in _near_planes(light, camera, scene, border, light.any(axis=(1, 2))):
+        total[k], evens[k] = seen, even
+    return total + far_rates(np.diag(q / evens), light, optics, scene, period, places, border)
+
+
+def _period_and_places(camera, scene):
+    """Return the lens, q of every wavelength, the period, and the pixels' places."""
     optics, sensor, ratio = camera.optics, camera.sensor, float(scene.samples_per_pixel)
-    weights, pitch = electrons_per_content(scene, camera), sensor.pixel_pitch / ratio
-    places = pixel_places(camera, scene)
+    pitch = sensor.pixel_pitch / ratio
     displaced = ceil(ratio * max(map(abs, sensor.displacement))) + ceil(ratio)
     period = period_of(optics, scene, pitch, displaced=displaced)
     q = scene.wavelengths * 1e-9 * optics.working_f_number / pitch
-    wide = [side / pitch for side in sensor.aperture]
+    return optics, q, period, pixel_places(camera, scene)
+
+
+def _near_planes(light, camera, scene, border, wanted):
+    """Yield number, mean irradiance and that of a uniform scene of each wanted wavelength."""
+    optics, _, period, places = _period_and_places(camera, scene)
+    pitch = camera.sensor.pixel_pitch / float(scene.samples_per_pixel)
+    wide = [side / pitch for side in camera.sensor.aperture]
     pads = centre_pads(period, light.shape[1:])
     at = [first + scene.margin + place for (first, _), place in zip(pads, places, strict=True)]
-    total, tails = np.zeros((len(weights), *scene.shape)), weights * q
-    for k, (plane, weight) in enumerate(zip(light, weights.T, strict=True)):
-        if weight.any() and plane.any():
-            spectrum = scipy.fft.rfft2(np.pad(plane, pads, mode=MODES[scene.border]), workers=-1)
-            transfer, cut = transfer_of(optics, scene.wavelengths[k], pitch)
-            seen, even = _at_pixels(spectrum, period, transfer, cut, wide, at)
-            total += weight[:, None, None] * seen
-            tails[:, k] /= even
-    return total + far_rates(tails, light, optics, scene, period, places)
+    for k in np.flatnonzero(wanted):
+        spectrum = scipy.fft.rfft2(np.pad(light[k], pads, mode=MODES[border]), workers=-1)
+        transfer, cut = transfer_of(optics, scene.wavelengths[k], pitch)
+        yield k, *_at_pixels(spectrum, period, transfer, cut, wide, at)
 
 
-def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | float:
+def far_rates(
+    weights, light, optics, scene, period, places, rule: str | None = None
+) -> np.ndarray | float:
     """Return the light from beyond the transforms, (C, rows, cols), or 0.
 
     Args:
@@ -92,8 +122,9 @@ def far_rates(weights, light, optics, scene, period, places) -> np.ndarray | flo
         scene: The scene.
         period: Rows and columns of the transforms.
         places: Rows and columns of the pixels among the samples.
+        rule: Rule by which the light continues; None: the scene's.
     """
-    border, tail = rule_of(scene.border), open_lens(optics, 1.0).tail
+    border, tail = rule_of(rule or scene.border), open_lens(optics, 1.0).tail
     if border == "reflect" or tail is None:
         return 0.0
     around = min(length - n for length, n in zip(period, light.shape[1:], strict=True)) / 2

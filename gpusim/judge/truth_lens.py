@@ -45,10 +45,9 @@ def require_truth(camera, scene):
     if scene.samples_per_pixel != 1 and has_psf and optics.psf.integrated:
         allowed = "1 sample per pixel, or samples of the irradiance"
         raise OutOfRange("verify", f"{samples} with measured energies of pixels", allowed)
-    is_shaped = optics.model != "none" and (optics.distortion is not None or has_psf)
-    if scene.depth is not None and is_shaped:
-        what = "depth beside distortion, a calibration or measured point spreads"
-        raise OutOfRange("verify", what, "a scene without depth, or a lens without them")
+    if scene.depth is not None and has_psf:
+        what = "depth with point spreads that were measured at one distance"
+        raise OutOfRange("verify", what, "a scene without depth, or a lens with a pupil")
     if optics.varies and has_psf and any(axis := axis_of(camera, scene.shape)):
         off = f"{axis[0]:.3g}, {axis[1]:.3g} pixels off the frame's middle"
         what = f"point spreads of field points, with the axis {off}"

@@ -14,6 +14,7 @@ import scipy
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
+from gpusim.optics.outside import border_indices
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
@@ -50,24 +51,63 @@ def axis_of(camera, shape) -> tuple[float, float]:
     return y, x
 
 
-def placed_light(camera, scene) -> np.ndarray:
+def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
     """Return the light of every wavelength at its place in the image, (L, rows, cols).
 
     The distortion of the lens and the view of the scene displace it.
+
+    Args:
+        camera: The camera.
+        scene: The scene.
+        light: Planes of samples instead of the scene's, (L, rows, cols).
+        is_flux: Whether a place is brighter where the lens crowds points.
     """
-    light = scene.content.on_host().bands_at(slice(None))
-    distortion = camera.optics.distortion
-    if distortion is None and scene.view.is_plain:
+    if light is None:
+        light = scene.content.on_host().bands_at(slice(None))
+    if camera.optics.distortion is None and scene.view.is_plain:
         return light
     rows, cols = light.shape[1:]
     y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
-    model = None
+    source = _source_of(camera, scene, light.shape[1:])
+    nodes, mass = np.zeros(1), np.ones(1)
+    if camera.optics.distortion is not None and _most_samples(source, y, x) > FINER:
+        nodes, mass = (part / 2 for part in np.polynomial.legendre.leggauss(PARTS))
+    total = np.zeros(light.shape)
+    for down, high in zip(nodes, mass, strict=True):
+        for across, wide in zip(nodes, mass, strict=True):
+            at_y, at_x, flux = source(y[:, None] + down, x + across)
+            seen = band_limited(light, at_y, at_x, scene.border)
+            total += high * wide * (flux if is_flux else 1) * seen
+    return total
+
+
+def placed_nearest(camera, scene, values) -> np.ndarray:
+    """Return values (rows, cols) where the lens and the view put them, each of the nearest sample."""
+    if camera.optics.distortion is None and scene.view.is_plain:
+        return values
+    y, x = (np.arange(n) - (n - 1) / 2 for n in values.shape)
+    places = _source_of(camera, scene, values.shape)(y[:, None], x)[:2]
+    at = [
+        border_indices(
+            np.rint(one).astype(int), n, "reflect" if scene.border == "reflect" else "edge"
+        )
+        for one, n in zip(places, values.shape, strict=True)
+    ]
+    return values[tuple(at)]
+
+
+def _source_of(camera, scene, shape):
+    """Return a function from places in the image, from its middle, to rows and columns of the source.
+
+    It also returns the area of the source relative to the image.
+    """
+    rows, cols = shape
+    distortion, model = camera.optics.distortion, None
     if distortion is not None:
         model = fit_to_frame(distortion, scene.shape, camera.sensor.pixel_pitch)
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
 
     def source(y, x):
-        """Return rows and columns of the source, and its area relative to the image."""
         y, x = np.broadcast_arrays(y, x)
         flux = np.ones(y.shape)
         if model is not None:
@@ -78,15 +118,7 @@ def placed_light(camera, scene) -> np.ndarray:
         y, x = scene.view.place(y, x, scene.samples_per_pixel)
         return y + (rows - 1) / 2, x + (cols - 1) / 2, flux
 
-    nodes, mass = np.zeros(1), np.ones(1)
-    if model is not None and _most_samples(source, y, x) > FINER:
-        nodes, mass = (part / 2 for part in np.polynomial.legendre.leggauss(PARTS))
-    total = np.zeros_like(light)
-    for down, high in zip(nodes, mass, strict=True):
-        for across, wide in zip(nodes, mass, strict=True):
-            at_y, at_x, flux = source(y[:, None] + down, x + across)
-            total += high * wide * flux * band_limited(light, at_y, at_x, scene.border)
-    return total
+    return source
 
 
 def _most_samples(source, y, x):

@@ -83,12 +83,12 @@ LINES = {  # file: (the line after which they go, lines)
 """,
     ),
     "gpusim/judge/truth.py": (
-        "    found = []\n    for part, own in zip(parts, more, strict=True):\n",
+        "    found = []\n    for part, own in zip(parts, wanted, strict=True):\n",
         None,  # see `TRUTH`
     ),
 }
 TRUTH = (
-    "    return found\n\n\ndef _rates_by_depth",
+    "    return found\n\n\ndef _within",
     """    if camera.sensor.crosstalk:
         wide = np.pad(found[0], 1, mode="edge")
         near = wide[:-2, 1:-1] + wide[2:, 1:-1] + wide[1:-1, :-2] + wide[1:-1, 2:]
@@ -96,7 +96,7 @@ TRUTH = (
     return found
 
 
-def _rates_by_depth""",
+def _within""",
 )
 USE = """
 from pathlib import Path

@@ -1,0 +1,202 @@
+"""Mean electrons of captures for `bench/triples.py --kinds features`: by the product, and by own sums.
+
+`exposures` asks the product for the frames of a question. `answers` integrates the rates of
+`triple_outside.py` over the time that each row is open: rates at a few instants are cubic splines in
+time, and flicker is integrated on a fine grid.
+"""
+
+from dataclasses import dataclass
+from math import ceil
+
+import numpy as np
+import scipy.fft
+import triple_brute as brute
+import triple_outside as outside
+from scipy.interpolate import CubicSpline
+from triple_lens import Lens
+
+import gpusim as gs
+from gpusim.apps.preview.producer import Producer
+from gpusim.apps.routes import Held
+from gpusim.apps.video.scenes import Moving, Still
+from gpusim.apps.video.video import blurred_frames, frames
+from gpusim.domain.errors import OutOfRange
+from gpusim.judge.combinations import NoWay
+
+PERIOD = 1 / 30  # [s] of a video
+STEP = 0.3  # [sample] between instants
+LEAST, MOST = 5, 41  # instants
+FINE = 4000  # parts of the time that a row is open
+MARGIN = 24  # [sample] that a shifted scene fades over
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """An exposure by the product.
+
+    mean: electrons. account, verdict: of the product. seconds: exposure time. view: of the scene,
+    None if it moves from `start` on.
+    """
+
+    mean: np.ndarray
+    account: object
+    seconds: float
+    view: gs.View | None
+    start: float = 0.0
+    left_out: tuple = ()
+
+
+def exposures(question, simulator) -> list[Asked]:
+    """Return the exposures of a question; all frames and reads are made, to find crashes."""
+    names, scene = question.captures, question.scene
+    moves = bool(names & {"motion", "rolling shutter"})
+    if names & {"video", "preview", "batch"}:
+        return _outputs(question, simulator, moves)
+    found = []
+    for number, view in enumerate(question.views):
+        start = number * PERIOD
+        for stop in question.stops:
+            seconds = simulator.camera.sensor.exposure_time * 2.0**stop
+            if moves:
+                made = gs.expose_motion(
+                    simulator, scene, question.motion, seconds, start, flicker=question.flicker
+                )
+            else:
+                made = simulator.expose(scene.viewed(view) if not view.is_plain else scene, seconds)
+            for frame in made.frames(2 if "burst" in names else 1, seed=1):
+                frame.rgb  # noqa: B018  to find crashes
+            if "reads" in names:
+                if moves:
+                    raise NoWay("reads of a moving scene")
+                gs.read_nondestructively(simulator, made_scene(scene, view), [seconds / 2, seconds])
+            found.append(_asked(simulator, made, None if moves else view, start))
+    return found
+
+
+def made_scene(scene, view):
+    """Return a scene seen from a view."""
+    return scene if view.is_plain else scene.viewed(view)
+
+
+def _asked(simulator, made, view, start=0.0):
+    mean = np.array(simulator.device.numpy(made.mean), np.float64)
+    account = made.plan.account.at(made.exposure_time)
+    return Asked(mean, account, made.exposure_time, view, start, tuple(made.plan.left_out))
+
+
+def _outputs(question, simulator, moves):
+    names, scene, found = question.captures, question.scene, []
+    special = names & {"reads", "burst", "bracket"} | (
+        names & {"motion", "rolling shutter"} if names & {"preview", "batch"} else set()
+    )
+    if special:
+        raise NoWay(", ".join(sorted(special)))
+    path = question.motion
+    if "video" in names:
+        still = Still(scene, 2)
+        scenes = Moving(still, path, 30, question.flicker)
+        show = blurred_frames if moves else frames
+        for made in show(simulator, scenes, [[0, 0, 1]], seed=1):
+            start = made.number * PERIOD
+            view = None if moves else path.at(start)
+            mean = np.array(made.values.mean, np.float64)
+            left = tuple(made.values.report.left_out)
+            found.append(Asked(mean, made.account, made.exposure_time, view, start, left))
+    views = [scene.viewed(view) for view in question.views if not view.is_plain] or [scene]
+    if "preview" in names:
+        for one in views:
+            producer = Producer(Still(one, 1), simulator.device)
+            state = Held("", tolerance="1e-3", seed=1, held=simulator.camera)
+            producer.picture(state, 0)
+            exposure = simulator.expose(one)
+            found.append(_asked(simulator, exposure, one.view))
+    if "batch" in names:
+        scenes = views if len(views) > 1 else views * 2
+        batch = simulator.batch(len(scenes), "mean")
+        means = np.array(simulator.device.numpy(batch(scenes)), np.float64)
+        seconds = simulator.camera.sensor.exposure_time
+        for one, mean, plan in zip(scenes, means, batch.plans, strict=True):
+            account = plan.account.at(seconds)
+            found.append(Asked(mean, account, seconds, one.view, 0.0, tuple(plan.left_out)))
+    return found
+
+
+def answers(question, asked: Asked):
+    """Return the answers of own sums for an exposure. Raises OutOfRange if they do not apply."""
+    scene, camera = question.scene, question.camera
+    if asked.view is not None:
+        seen = made_scene(scene, asked.view)
+        return outside.answers(seen, camera, asked.seconds)
+    if scene.depth is not None and any(question.motion.pan):
+        raise OutOfRange("motion", "of a scene with depth", "a scene without depth")
+    return _moving(question, asked)
+
+
+def _moving(question, asked):
+    """Return the answers for a camera that moves straight: see the module."""
+    scene, camera = question.scene, question.camera
+    outside.require(scene, camera)
+    rows, sensor = scene.shape[0], camera.sensor
+    whole = asked.seconds + sensor.row_time * (rows - 1)
+    path = np.hypot(*question.motion.pan) * whole * scene.samples_per_pixel
+    count = int(np.clip(ceil(path / STEP) + 1, LEAST, MOST)) if path else 1
+    times = asked.start + whole * np.linspace(0, 1, count)
+    lens, rates = Lens(scene, camera), []
+    planes = outside.planes_of(scene)
+    for time in times:
+        view = question.motion.at(float(time))
+        shift = [scene.samples_per_pixel * one for one in view.shift]
+        world = shifted(planes, shift, scene.border) if any(shift) else planes
+        rates.append(outside.rates_of_world(lens, scene, camera, world))
+    count_of_answers = {len(one) for one in rates}
+    if count_of_answers != {1} and count > 1:
+        rates = [one[:1] for one in rates]
+    means = []
+    for number in range(len(rates[0])):
+        own = np.stack([one[number] for one in rates])
+        means.append(_integrated(own, times, question, asked, sensor.row_time))
+    rim = outside.SAFE if camera.optics.distortion is not None or count > 1 else 0
+    mosaic = [outside.exposed(one, scene, camera, 1.0) for one in means]
+    return outside.Answers(mosaic, min(rim, (min(scene.shape) - 1) // 3), 1e-4)
+
+
+def _integrated(rates, times, question, asked, row_time):
+    """Return the electrons (C, rows, cols) that rates (K, C, rows, cols) give to each row."""
+    out, flicker = np.empty(rates.shape[1:]), question.flicker
+    for row in range(rates.shape[2]):
+        first = asked.start + row * row_time
+        t = first + asked.seconds * (np.arange(FINE) + 0.5) / FINE
+        light = np.ones(FINE)
+        if flicker is not None:
+            turn = 2 * np.pi * (flicker.frequency * t + flicker.phase)
+            light = 1 + flicker.depth * np.cos(turn)
+        if len(times) == 1:
+            out[:, row] = rates[0, :, row] * light.mean() * asked.seconds
+            continue
+        basis = CubicSpline(times, np.eye(len(times)))(t)
+        out[:, row] = np.tensordot(light @ basis / FINE, rates[:, :, row], 1) * asked.seconds
+    return out
+
+
+def shifted(planes, shift, border) -> np.ndarray:
+    """Return planes whose sample (y, x) is the band-limited scene at (y, x) + shift."""
+    more = [ceil(abs(one)) + MARGIN + 40 for one in shift]
+    wide = np.pad(planes, ((0, 0), *((n, n) for n in more)), mode=brute.MODES[border])
+    for axis in (1, 2):
+        n = wide.shape[axis]
+        left = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / MARGIN, 0, 1)
+        fade = (left**4 * (35 - 84 * left + 70 * left**2 - 20 * left**3)).reshape(
+            -1, *[1] * (2 - axis)
+        )
+        mean = wide.mean(axis=axis, keepdims=True)
+        wide = mean + (wide - mean) * fade
+    spectrum = scipy.fft.fft2(wide)
+    for axis, one in zip((1, 2), shift, strict=True):
+        n = wide.shape[axis]
+        f = np.fft.fftfreq(n)
+        phase = np.exp(2j * np.pi * f * one)
+        if n % 2 == 0:  # the shortest wave is half up and half down
+            phase[n // 2] = np.cos(np.pi * one)
+        spectrum = spectrum * phase.reshape(-1, *[1] * (2 - axis))
+    found = scipy.fft.ifft2(spectrum).real
+    return found[:, more[0] : -more[0], more[1] : -more[1]]

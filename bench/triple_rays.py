@@ -1,0 +1,98 @@
+"""Visibility at depth edges by rays through the pupil, for `triple_outside.py`.
+
+A point of the pupil sees sharp sheets, displaced by the slope of each sheet's wavefront there, and
+nearer ones hide farther ones. The mean over the pupil is the image of geometrical optics. Sheets
+that are composed after their blur miss the covariance of coverage and light over the pupil. The
+difference of the two, blurred by the lens in focus, is added to sums that are composed so.
+"""
+
+import numpy as np
+import scipy
+import triple_brute as brute
+from scipy.ndimage import shift
+from triple_lens import kernels, measured_kernels
+
+POINTS = 300  # of the pupil
+NEAR = 20  # [sample] of the kernel in focus
+TINY = 1e-4  # of the radius of the pupil: for differences
+
+
+def pupil_points(pupil) -> np.ndarray:
+    """Return points (u, v) of a pupil, even in area: a spiral of golden angles, (2, POINTS)."""
+    count = POINTS
+    while True:
+        k = np.arange(count) + 0.5
+        r, angle = np.sqrt(k / count), k * np.pi * (3 - np.sqrt(5))
+        u, v = r * np.cos(angle), r * np.sin(angle)
+        inside = r >= pupil.obscuration
+        if pupil.blades:
+            half = np.pi / pupil.blades
+            turn = (np.arctan2(v, u) - pupil.rotation) % (2 * half) - half
+            inside &= r * np.cos(turn) <= np.cos(half)
+        if inside.sum() >= POINTS:
+            return np.stack([u[inside], v[inside]])
+        count = int(count * 1.3)
+
+
+def hidden_difference(lens, sheets, weights, chosen_from, by_distance) -> np.ndarray:
+    """Return the covariance over the pupil at all pixels, electrons per second (C, rows, cols).
+
+    sheets: light times coverage (L, rows, cols), coverage and distances, nearest first. weights: of
+    the channels (C, L). chosen_from: first row and column of the pixels' samples.
+    """
+    scene, optics = lens.scene, lens.camera.optics
+    middle = float(np.median(scene.wavelengths))
+    u, v = pupil_points(optics.pupil)
+    q, parts, most = lens.q(middle), [], 1.0
+    for light, cover, distances in sheets:
+        planes, own = np.tensordot(weights, light, 1), []
+        for distance, share in by_distance(distances):
+            waves = lens.waves(middle, 0.0, 0.0, distance)
+            across = -2 * q * (waves(u + TINY, v) - waves(u - TINY, v)) / (2 * TINY)
+            down = -2 * q * (waves(u, v + TINY) - waves(u, v - TINY)) / (2 * TINY)
+            most = max(most, np.hypot(down, across).max())
+            own.append((planes * share, cover * share, np.stack([down, across], 1)))
+        parts.append(own)
+    pad = int(np.ceil(most)) + NEAR + 2
+    parts = [[_padded(scene.border, *one, pad) for one in own] for own in parts]
+    seen, means = 0.0, [[0.0, 0.0] for _ in parts]
+    for point in range(len(u)):
+        through = 1.0
+        for own, mean in zip(parts, means, strict=True):
+            light = sum(_moved(planes, at[point]) for planes, _, at in own)
+            cover = sum(_moved(cover[None], at[point])[0] for _, cover, at in own)
+            seen = seen + through * light
+            through = through * (1 - np.clip(cover, 0, 1))
+            mean[0], mean[1] = mean[0] + light, mean[1] + cover
+    apart, through = 0.0, 1.0
+    for light, cover in means:
+        apart = apart + through * light / len(u)
+        through = through * (1 - np.clip(cover / len(u), 0, 1))
+    change = seen / len(u) - apart
+    place = (0.0, 0.0, optics.object_distance)
+    if optics.model == "measured":
+        (own,) = measured_kernels(lens, middle, [place[:2]], NEAR)
+    else:
+        (own,) = kernels(lens, middle, [place], NEAR)
+    change = scipy.signal.fftconvolve(change, own[None] / own.sum(), "same", axes=(1, 2))
+    ratio = int(scene.samples_per_pixel)
+    places = [
+        pad + at + ratio * np.arange(n) for at, n in zip(chosen_from, scene.shape, strict=True)
+    ]
+    return change[:, places[0][:, None], places[1]]
+
+
+def _padded(border, planes, cover, at, pad):
+    wide = ((pad, pad), (pad, pad))
+    outside = "symmetric" if border == "reflect" else "edge"
+    return (
+        np.pad(planes, ((0, 0), *wide), mode=brute.MODES[border]),
+        np.pad(cover, wide, mode=outside),
+        at,
+    )
+
+
+def _moved(planes, at):
+    return np.stack(
+        [shift(plane, at, order=1, mode="nearest", prefilter=False) for plane in planes]
+    )
