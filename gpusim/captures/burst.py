@@ -64,7 +64,8 @@ def burst(
 ) -> list[Frame]:
     """Capture frames with one exposure time and gain, as `merge_burst` takes them.
 
-    `Burst` does the same for one scene, also in motion. The mean electrons of each scene are computed once. Automatic exposure meters the first scene.
+    `Burst` does the same for one scene, also in motion. The mean electrons of each scene are
+    computed once. Automatic exposure meters the first scene.
 
     Args:
         simulator: simulator whose camera takes the frames.

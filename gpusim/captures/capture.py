@@ -70,6 +70,16 @@ class Capture:
     _merges = False  # whether it takes several frames
 
     @property
+    def has_frames(self) -> bool:
+        """True if its outputs have an axis of frames."""
+        return self._merges and not self.merged
+
+    @property
+    def frames_returned(self) -> int:
+        """Number of frames that `take` returns."""
+        return self.count if self.has_frames else 1
+
+    @property
     def exposure_time(self) -> float | None:
         """Exposure time that the capture sets [s]; None is the camera's or a given one."""
         return None
@@ -163,7 +173,7 @@ class Capture:
             return _upload(frame, name, device), plan
         show = light.channels if name in CHANNELS else Shot.output
         found = [show(shot, name) for shot in shots]
-        return device.stack(found) if self._merges else found[0], plan
+        return device.stack(found) if self.has_frames else found[0], plan
 
     def _exposures(self, light):
         """Return the exposures of all frames."""

@@ -41,6 +41,11 @@ class Reads(Capture):
             raise BadData(f"times of reads = {self.times!r}: wanted a list of numbers") from None
 
     @property
+    def frames_returned(self) -> int:
+        """Number of frames that `take` returns."""
+        return len(self.times) if self.has_frames else 1
+
+    @property
     def exposure_time(self) -> float:
         """Time of the last read [s]."""
         return self.times[-1]
