@@ -19,13 +19,14 @@ _NAMES = {
     "apps.preview": ("preview",),
     "apps.tensors.batches": ("PictureBatch",),
     "backends": ("open_device",),
-    "captures.bracket": ("bracket", "change_exposure_time"),
-    "captures.burst": ("burst", "average"),
+    "captures.bracket": ("Bracket", "bracket"),
+    "captures.burst": ("Burst", "burst", "average"),
+    "captures.capture": ("Capture", "change_exposure_time"),
     "captures.events": ("EventSensor", "events_of"),
     "captures.focus": ("autofocus",),
-    "captures.merge": ("merge_bracket", "merge_burst", "merge_flash"),
+    "captures.merge": ("merge_bracket", "merge_burst", "merge_flash", "merge_reads"),
     "captures.moving": ("expose_moving", "expose_motion"),
-    "captures.reads": ("read_nondestructively",),
+    "captures.reads": ("Reads", "read_nondestructively"),
     "data.charts": ("chart",),
     "data.displays": ("open_display", "display_names", "display_picture"),
     "data.illumination": ("illuminate",),
@@ -74,15 +75,17 @@ if TYPE_CHECKING:
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
     from gpusim.apps.tensors.batches import PictureBatch as PictureBatch
-    from gpusim.captures.bracket import bracket as bracket
-    from gpusim.captures.bracket import change_exposure_time as change_exposure_time
-    from gpusim.captures.burst import average as average, burst as burst
+    from gpusim.captures.bracket import Bracket as Bracket, bracket as bracket
+    from gpusim.captures.burst import Burst as Burst, average as average, burst as burst
+    from gpusim.captures.capture import Capture as Capture
+    from gpusim.captures.capture import change_exposure_time as change_exposure_time
     from gpusim.captures.events import EventSensor as EventSensor, events_of as events_of
     from gpusim.captures.focus import autofocus as autofocus
     from gpusim.captures.merge import merge_bracket as merge_bracket, merge_burst as merge_burst
-    from gpusim.captures.merge import merge_flash as merge_flash
+    from gpusim.captures.merge import merge_flash as merge_flash, merge_reads as merge_reads
     from gpusim.captures.moving import expose_motion as expose_motion
     from gpusim.captures.moving import expose_moving as expose_moving
+    from gpusim.captures.reads import Reads as Reads
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
     from gpusim.io.camera.calibration import read_calibration as read_calibration
     from gpusim.io.camera.cameras import camera_names as camera_names, open_camera as open_camera

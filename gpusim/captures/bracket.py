@@ -1,18 +1,65 @@
 """Exposure brackets: one scene captured with several exposure times."""
 
-import dataclasses
 from collections.abc import Sequence
-from math import prod
-from time import perf_counter
+from dataclasses import dataclass, replace
 
-from gpusim.domain.errors import OutOfRange
-from gpusim.domain.exposure import bracket_times, checked_time
+import numpy as np
+
+from gpusim.captures.capture import Capture
+from gpusim.captures.merge import merge_bracket
+from gpusim.domain.exposure import bracket_times
 from gpusim.domain.scene import Scene
-from gpusim.kernels.sensor.chip import chip
-from gpusim.pipeline.exposure import Exposure, expose_mean
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
+
+
+@dataclass(frozen=True)
+class Bracket(Capture):
+    """Frames with several exposure times, one after the other.
+
+    A frame in motion opens when the last row of the frame before has closed. `merged` merges by
+    `merge_bracket`.
+
+    Args:
+        stops: Exposure of each frame relative to the camera's, in stops: (-2, 0, 2) for a quarter,
+            once and four times the exposure time.
+
+    Raises:
+        BadData: `stops` is not a list of numbers.
+        OutOfRange: A stop gives no valid exposure time.
+    """
+
+    stops: tuple[float, ...] = (-2.0, 0.0, 2.0)
+
+    _merges = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        factors = bracket_times(1.0, self.stops)
+        object.__setattr__(self, "_factors", [float(factor) for factor in factors])
+        object.__setattr__(self, "stops", tuple(np.atleast_1d(self.stops).tolist()))
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.stops)
+
+    def _exposures(self, light):
+        exposures, after = [], 0.0
+        for factor in self._factors:
+            exposure = light.expose(after, factor)
+            after += exposure.exposure_time + light.readout_time
+            if not exposures and not light.is_moving:
+                rest = light.rest
+                exposure = replace(
+                    exposure, ms=rest.ms | exposure.ms, wall_ms=rest.wall_ms + exposure.wall_ms
+                )
+            exposures.append(exposure)
+        return exposures
+
+    def _merge(self, simulator, frames):
+        return merge_bracket(simulator, frames)
 
 
 def bracket(
@@ -24,7 +71,7 @@ def bracket(
     first: int = 0,
     plan: Plan | None = None,
 ) -> list[Frame]:
-    """Capture a scene with several exposure times.
+    """Capture a scene with several exposure times, see `Bracket`.
 
     The mean electrons are computed once. `merge_bracket` merges the frames into one high dynamic
     range picture.
@@ -46,43 +93,4 @@ def bracket(
         OutOfRange: if a stop gives no valid exposure time.
         GpusimError: as raised by `Simulator.frames`.
     """
-    factors = bracket_times(1.0, stops)
-    metered = simulator.expose(scene, plan=plan)
-    frames: list[Frame] = []
-    for number, factor in enumerate(factors):
-        exposure = change_exposure_time(simulator, metered, metered.exposure_time * float(factor))
-        if number == 0:
-            exposure = dataclasses.replace(
-                exposure, ms=metered.ms | exposure.ms, wall_ms=metered.wall_ms + exposure.wall_ms
-            )
-        frames.append(exposure.frame(seed=seed, first=first + number))
-    return frames
-
-
-def change_exposure_time(
-    simulator: Simulator, exposure: Exposure, exposure_time: float
-) -> Exposure:
-    """Return an exposure of the same scene with another exposure time.
-
-    Only the electrons of the chip are computed again; the light on the pixels is reused.
-
-    Args:
-        simulator: simulator that made the exposure.
-        exposure: exposure to change.
-        exposure_time: new exposure time [s].
-
-    Returns:
-        The new exposure, with the plan and gain of the old one.
-
-    Raises:
-        OutOfRange: if `exposure_time` is None or not a valid time.
-    """
-    if checked_time(exposure_time) is None:
-        raise OutOfRange("exposure_time", "None", "a time [s]")
-    device, shape, start = simulator.device, exposure.mean.shape, perf_counter()
-    with device.timed() as ms:
-        rows = device.reshape(exposure.mean, (prod(shape[:-1]), shape[-1]))
-        mean = chip(rows, scale=exposure_time / exposure.exposure_time, device=device)
-        mean = device.reshape(mean, shape)
-        changed = expose_mean(simulator, exposure.plan, mean, exposure_time, exposure.gain)
-    return dataclasses.replace(changed, ms=dict(ms), wall_ms=1e3 * (perf_counter() - start))
+    return Bracket(stops).take(simulator, scene, seed=seed, first=first, plan=plan)

@@ -1,15 +1,56 @@
 """Bursts: frames with the same exposure, of a static scene or of a shaking camera's views."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 
 import numpy as np
 
+from gpusim.captures.capture import Capture
+from gpusim.captures.merge import merge_burst
 from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.scene import Scene
 from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
+
+
+@dataclass(frozen=True)
+class Burst(Capture):
+    """Frames with one exposure time and gain, one after the other.
+
+    A frame in motion opens when the last row of the frame before has closed. `merged` merges by
+    `merge_burst`, aligned to the first frame.
+
+    Args:
+        size: Number of frames.
+
+    Raises:
+        OutOfRange: The number is not allowed.
+    """
+
+    size: int = 8
+
+    _merges = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        checked_count("frames of a burst", self.size, 1 + self.merged)
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return self.size
+
+    def _exposures(self, light):
+        exposures, after = [], 0.0
+        for _ in range(self.size):
+            exposures.append(light.expose(after))
+            after += exposures[-1].exposure_time + light.readout_time
+        return exposures
+
+    def _merge(self, simulator, frames):
+        return merge_burst(simulator, frames)
 
 
 def burst(
@@ -23,7 +64,8 @@ def burst(
 ) -> list[Frame]:
     """Capture frames with one exposure time and gain, as `merge_burst` takes them.
 
-    The mean electrons of each scene are computed once. Automatic exposure meters the first scene.
+    `Burst` does the same for one scene, also in motion. The mean electrons of each scene are
+    computed once. Automatic exposure meters the first scene.
 
     Args:
         simulator: simulator whose camera takes the frames.

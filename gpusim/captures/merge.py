@@ -201,6 +201,104 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
     )
 
 
+def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
+    """Fit the slope of non-destructive reads of one growing charge, see `Reads`.
+
+    The slope is the weighted mean of the differences between reads, with the weights of least
+    variance for photon and read noise at the mean rate of the neighbours. The noise of the reset
+    cancels. Reads of full pixels are left out; a pixel with only one read left takes its value.
+    Defective pixels are handled as by `merge_bracket`.
+
+    Args:
+        simulator: simulator of the camera.
+        frames: 2 to 16 reads of one exposure, in their order.
+
+    Returns:
+        A frame as of the last read with an unlimited well. `mean` is the slope times the exposure
+        time, float32 [e-]; `raw` is the same in 16 bits.
+
+    Raises:
+        BadData: if the frames do not fit together, or their times do not rise.
+        OutOfRange: if an exposure time is out of range.
+    """
+    frames = _check_frames("merge_reads", frames, MOST_FRAMES)
+    tables = _merge_tables(frames)
+    times, sensor = tables["time"], frames[0].camera.sensor
+    if (np.diff(times) <= 0).any():
+        raise BadData(
+            "merge_reads: the exposure times do not rise; wanted the reads in their order"
+        )
+    device, period = simulator.device, (1, 1) if sensor.stacked else sensor.cfa_indices.shape
+    with device.timed() as ms:
+        raw = _replace_defects(simulator, frames)
+        gain, dark, full = (tables[name][:, None, None] for name in ("gain", "dark", "ceiling"))
+        charges = raw.reshape(len(frames), -1, raw.shape[-1])
+        usable = np.logical_and.accumulate(charges < full, axis=0).sum(axis=0)
+        charges = (charges - dark) / gain
+        # without the photons' part, which `_slope_weights` adds
+        noise = RawNoise.of(sensor).variance()
+        photons = float(sensor.noise.photon != "none")
+        rate = np.zeros(charges.shape[1:])
+        for count in range(len(frames) + 1):
+            here = usable == count
+            if count < 2:  # full before the second read: a single value
+                rate[here] = charges[0][here] / times[0]
+                continue
+            if not here.any():
+                continue
+            guess = (charges[count - 1] - charges[0]) / (times[count - 1] - times[0])
+            guess = photons * np.maximum(_mean_of_neighbours(guess, period), 0)
+            levels = np.r_[0.0, np.geomspace(1e-3, 1e3, 25)] * noise / np.diff(times[:count]).min()
+            nearest = np.abs(np.log((levels + levels[1]) / (guess[here][:, None] + levels[1])))
+            weights = np.array([_slope_weights(times[:count], noise, level) for level in levels])
+            steps = np.diff(charges[:count], axis=0)[:, here]
+            rate[here] = (weights[nearest.argmin(axis=1)].T * steps).sum(axis=0)
+        rate = rate.astype(np.float32).reshape(raw.shape[1:])
+    last, limit = float(times[-1]), sensor.saturation / times[0]
+    weights = _slope_weights(times, noise, 0.0)
+    return develop_merged(
+        simulator,
+        frames[-1],
+        rate * np.float32(last),
+        exposure_time=last,
+        full=limit * last,
+        saturated=1.0,
+        ratio=1.0,
+        dark_noise=last
+        * float(noise * np.square(np.diff(weights, prepend=0, append=0)).sum()) ** 0.5,
+        defects=_defect_method(simulator, frames),
+        ms=ms,
+        stages={"processor.merge": f"slope of {len(frames)} reads, 0 .. {last:.4g} s"},
+    )
+
+
+def _slope_weights(times, noise, rate):
+    """Return the weights of the differences between reads, (reads - 1,), for the least variance of the slope.
+
+    noise: variance of a read [e-2]. rate: electrons per second, which scatter as photons do.
+    """
+    steps = np.diff(times)
+    covariance = np.diag(rate * steps + 2 * noise) - noise * (
+        np.eye(len(steps), k=1) + np.eye(len(steps), k=-1)
+    )
+    if not covariance.any():
+        covariance = np.eye(len(steps))
+    solved = np.linalg.solve(covariance, steps)
+    return solved / (solved @ steps)
+
+
+def _mean_of_neighbours(values, period):
+    """Return the mean of the 24 nearest pixels of the same color, without the pixel itself."""
+    from scipy.ndimage import uniform_filter
+
+    found = np.empty_like(values)
+    for y in range(period[0]):
+        for x in range(period[1]):
+            own = np.s_[y :: period[0], x :: period[1]]
+            found[own] = (25 * uniform_filter(values[own], 5, mode="nearest") - values[own]) / 24
+    return found
+
+
 def merge_flash(
     simulator: Simulator, ambient: Frame, flash: Frame, *, radius: int = 8, reach: float = 6.0
 ) -> Frame:

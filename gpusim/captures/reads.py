@@ -1,11 +1,101 @@
 """Nondestructive readout: several reads of one growing charge."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gpusim.captures.capture import Capture, Light, Shot
+from gpusim.captures.merge import merge_reads
+from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene
+from gpusim.pipeline.exposure import expose_mean
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
+
+
+@dataclass(frozen=True)
+class Reads(Capture):
+    """Reads that leave the charge in the pixels, as frames of growing exposure time.
+
+    All reads see the same growing charge, also in motion, and have one frame number. See
+    `Readout.nondestructive`. `merged` fits the slope, see `merge_reads`.
+
+    Args:
+        times: Times of the reads since the reset [s], rising; the last one is the exposure time.
+
+    Raises:
+        BadData: The times are not a list of numbers.
+    """
+
+    times: tuple[float, ...] = (0.01, 0.02)
+
+    _merges = True
+
+    def __post_init__(self):
+        super().__post_init__()
+        try:
+            times = np.asarray(self.times, np.float64)
+            object.__setattr__(self, "times", tuple(np.atleast_1d(times).tolist()))
+        except (TypeError, ValueError):
+            raise BadData(f"times of reads = {self.times!r}: wanted a list of numbers") from None
+
+    @property
+    def frames_returned(self) -> int:
+        """Number of frames that `take` returns."""
+        return len(self.times) if self.has_frames else 1
+
+    @property
+    def exposure_time(self) -> float:
+        """Time of the last read [s]."""
+        return self.times[-1]
+
+    def raw(self, light: Light, seed: int, first: int) -> tuple[list, np.ndarray]:
+        """Return the exposure of each read and the raw values.
+
+        Args:
+            light: Light of the scene.
+            seed: Seed of the noise.
+            first: Number of the frame.
+
+        Returns:
+            The exposures from the reset to each read, and raw values on the host (reads, rows,
+            cols), layers of stacked pixels below each other [DN].
+        """
+        readout, device = light.simulator.readout, light.simulator.device
+        times = readout.checked_reads(self.times)
+        numbers = {"seed": seed, "first": first}
+        if not light.is_moving:
+            exposures = [light.expose(seconds=float(time)) for time in times]
+            last = exposures[-1]
+            return exposures, readout.nondestructive(
+                last.mean, last.exposure_time, times, gain=last.gain, **numbers
+            )
+        exposures, steps, before = [], [], 0.0
+        for time in map(float, times):
+            part = light.expose(before, seconds=time - before)
+            steps.append(part.mean)
+            if exposures:
+                mean = device.numpy(exposures[-1].mean) + device.numpy(part.mean)
+                total = expose_mean(light.simulator, part.plan, device.array(mean), time, part.gain)
+                part = replace(total, ms=part.ms, wall_ms=part.wall_ms)
+            exposures.append(part)
+            before = time
+        return exposures, readout.nondestructive(
+            steps, float(times[-1]), times, gain=exposures[-1].gain, **numbers
+        )
+
+    def shots(self, light: Light, seed: int, first: int) -> list[Shot]:
+        """See `Capture.shots`."""
+        exposures, raw = self.raw(light, seed, first)
+        device = light.simulator.device
+        return [
+            Shot(exposure, seed, first, device.array(np.ascontiguousarray(one), one.dtype))
+            for exposure, one in zip(exposures, raw, strict=True)
+        ]
+
+    def _merge(self, simulator, frames):
+        return merge_reads(simulator, frames)
 
 
 def read_nondestructively(
@@ -19,7 +109,7 @@ def read_nondestructively(
 ) -> np.ndarray:
     """Return the raw values of reads that leave the charge in the pixels.
 
-    See `Readout.nondestructive`.
+    See `Readout.nondestructive`. `Reads` returns frames, also in motion.
 
     Args:
         simulator: simulator whose camera takes the exposure.

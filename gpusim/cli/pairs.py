@@ -5,9 +5,11 @@ import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gpusim.apps.pairs.variety import Variety, scene_options
 from gpusim.apps.video.segments import Shard, segments_of
+from gpusim.cli.captures import capture_option
 from gpusim.cli.options import (
     SCENE_HELP,
     Request,
@@ -22,6 +24,9 @@ from gpusim.cli.options import (
 from gpusim.cli.video import shard_option
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, Conflict
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.captures.capture import Capture
 
 IN_SHARD = 256  # pairs, by default
 MOST = 10**8
@@ -58,6 +63,9 @@ class PairsRequest(Request):
     )
     each: int = option(
         default=1, type=whole(1, MOST), metavar="N", help="pairs per photograph (default: 1)"
+    )
+    capture: "Capture | None" = capture_option(
+        "; frames that are not merged are on a first axis of the arrays"
     )
     seed: int = seed_option("the noise and of --vary")
     pictures: bool = flag("also write KEY.rgb.png of every frame")
@@ -124,6 +132,7 @@ def pairs(request: PairsRequest) -> int:
         request.each,
         request.seed,
         request.pictures,
+        capture=request.capture,
     )
     folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):

@@ -1,13 +1,17 @@
 """`gpusim preview`: one page of sliders and a live picture."""
 
 import socket
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, ClassVar
 
 from gpusim.apps.preview.guard import LOOPBACK
+from gpusim.cli.captures import capture_option
 from gpusim.cli.moving import MovingRequest
 from gpusim.cli.options import option, whole
 from gpusim.domain.errors import Missing, OutOfRange, UnknownName
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.captures.capture import Capture
 
 # relative to the light, so that one plan serves all exposures and noise settings
 TOLERANCE = "1e-3"
@@ -24,6 +28,7 @@ class PreviewRequest(MovingRequest):
         "strict": "the page shows whether the tolerance is met",
     }
 
+    capture: "Capture | None" = capture_option("; the page shows them merged")
     port: int = option(default=8080, type=whole(1, 65535), help="port of the page (default: 8080)")
     host: str = option(
         default="127.0.0.1",
@@ -79,9 +84,12 @@ def preview(request: PreviewRequest) -> int:
     first, device = next(scenes.between(0, 1)), open_device(request.device)
     request.open_camera()  # refuses wrong settings before the page opens
     require_port(request.host, request.port)
+    capture = request.capture
+    if capture is not None:
+        capture = replace(capture, merged=capture.merged or capture.has_frames)
     request.refuse_unread("preview")
     mount(
-        lambda: Producer(scenes, device, period),
+        lambda: Producer(scenes, device, period, capture),
         State(request.camera, changes, tolerance=tolerance),
         first.name,
         first.shape,

@@ -5,10 +5,15 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from gpusim.apps.video.segments import numbered_path
+from gpusim.cli.captures import capture_option
 from gpusim.cli.options import Request, flag, option, seed_option, whole, write_json
 from gpusim.domain.errors import BadFile
+
+if TYPE_CHECKING:  # the command line starts without them
+    from gpusim.captures.capture import Capture
 
 WITHOUT_PICTURE = (".dng", ".npz")  # files that no setting of the picture changes
 TEXTS = {"help": "a scene through a camera: raw frame, picture and report"}
@@ -25,6 +30,7 @@ class SimulateRequest(Request):
         metavar="N",
         help="number of noisy frames, written to numbered files (default: 1)",
     )
+    capture: "Capture | None" = capture_option("; frames that are not merged get numbered files")
     out: list[str] | tuple = option(
         "-o",
         "--out",
@@ -45,6 +51,15 @@ class SimulateRequest(Request):
     )
     verify: bool = flag("also compute the float64 reference, and report the true error")
 
+    @property
+    def count(self) -> int:
+        """Number of frames that are written."""
+        if self.capture is None:
+            return self.frames
+        self.refuse("frames", "--capture has its own frames", "leave one of them out")
+        self.refuse("verify", "the reference is of one frame at rest")
+        return self.capture.frames_returned
+
     def check_outputs(self) -> list[Callable[[int], Path]]:
         """Return a function from a frame's number to its path for each output.
 
@@ -54,7 +69,7 @@ class SimulateRequest(Request):
         """
         from gpusim.io.atomic import check_output
 
-        outputs = [_number_files(path, self.frames) for path in self.out]
+        outputs = [_number_files(path, self.count) for path in self.out]
         first = [output(0) for output in outputs]
         if not self.out:
             self.refuse("bits", "no file is written", "add -o OUT")
@@ -72,7 +87,7 @@ class SimulateRequest(Request):
         taken = {
             place(Path(name)): "is read" for name in (self.scene, self.camera) if Path(name).suffix
         }
-        frames = (output(number) for output in outputs for number in range(self.frames))
+        frames = (output(number) for output in outputs for number in range(self.count))
         for path in (*report, *frames):
             here = place(path)
             if here in taken:
@@ -101,27 +116,30 @@ def simulate(request: SimulateRequest) -> int:
     simulator = request.open_simulator(camera)
     for path in request.out:
         check_format(path, replace(camera, sensor=simulator.readout.output), request.bits)
-    frames = simulator.frames(scene, request.frames, seed=request.seed, verify=request.verify)
+    if request.capture is not None:
+        frames = iter(request.capture.take(simulator, scene, seed=request.seed))
+    else:
+        frames = simulator.frames(scene, request.frames, seed=request.seed, verify=request.verify)
     request.refuse_unread("simulate")
-    if request.frames > 1:
+    if request.count > 1:
         from tqdm import tqdm
 
-        frames = tqdm(frames, total=request.frames, unit="frame", disable=None)
+        frames = tqdm(frames, total=request.count, unit="frame", disable=None)
     reports = []
     for number, frame in enumerate(frames):
         for output in outputs:
             frame.save(output(number), bits=request.bits)
         reports.append(frame.report)
-        if request.frames == 1:
+        if request.count == 1:
             print(frame.report)
-    if request.frames > 1:
+    if request.count > 1:
         print(reports[0])
         print(
             f"  {len(reports)} frames; median of those after the first "
             f"{sorted(report.ms for report in reports[1:])[(len(reports) - 1) // 2]:.2f} ms"
         )
     plain = [report.as_dict() for report in reports]
-    write_json(request.report, plain[0] if request.frames == 1 else plain)
+    write_json(request.report, plain[0] if request.count == 1 else plain)
     return 1 if any(report.meets_tolerance is False for report in reports) else 0
 
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.segments import LENGTH, Shard, segments_of
+from gpusim.cli.captures import capture_option
 from gpusim.cli.moving import MOST_FRAMES, MovingRequest
 from gpusim.cli.options import (
     describe_verdicts,
@@ -27,6 +28,7 @@ from gpusim.domain.errors import BadFile, Conflict, OutOfRange, UnknownName
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.apps.video.loops import Lags
     from gpusim.apps.video.scenes import Scenes
+    from gpusim.captures.capture import Capture
     from gpusim.domain.flicker import Flicker
 
 ENCODED = (".mp4", ".mkv")
@@ -99,6 +101,7 @@ class VideoRequest(MovingRequest):
         "(version 3.0) in the folder -o, which is created if it does not exist",
     )
     seed: int = seed_option("the temporal noise and of --shake")
+    capture: "Capture | None" = capture_option("; a video merges them", moves=False)
     blur: bool = flag("simulate motion blur and rolling shutter (slow)")
     ramp: Ramps = option(
         default=Ramps(),
@@ -194,7 +197,7 @@ def video(request: VideoRequest) -> int:
     """
     from gpusim.apps.video.loops import NO_LOOPS, Loops
     from gpusim.apps.video.manifest import Plans, keep_manifest
-    from gpusim.apps.video.video import blurred_frames, frames, within_period
+    from gpusim.apps.video.video import ONE_FRAME, captured_frames, frames, within_period
 
     request.check_settings()
     scenes = request.open_scenes(request.seed, request.flicker or request.pwm)
@@ -208,6 +211,9 @@ def video(request: VideoRequest) -> int:
     segments = segments_of(scenes.count, request.segment)
     own = request.shard.of(segments)
     target, manifest, made = _target(request, simulator, scenes, segments)
+    is_blurred = bool(request.blur or request.flicker or request.pwm)
+    capture = request.capture or ONE_FRAME
+    capture = replace(capture, merged=capture.merged or capture.has_frames)
     request.refuse_unread("video")
     for folder in target.folders:
         make_folder(folder)
@@ -216,8 +222,9 @@ def video(request: VideoRequest) -> int:
         known = Loops.read_manifest(manifest, request.lag, scenes.count)
         loops = known or _meter(request, simulator, scenes)
         made["loops"] = asdict(loops)
-    is_blurred = request.blur or request.flicker or request.pwm
-    generator: Any = blurred_frames if is_blurred else frames
+    generator: Any = frames
+    if is_blurred or request.capture:
+        generator = partial(captured_frames, capture=capture, blur=is_blurred)
     make = partial(generator, simulator, scenes, seed=request.seed, ramps=request.ramp, loops=loops)
     with keep_manifest(manifest, made, target.words, target.is_empty):
         written = target.write(make, own)

@@ -12,7 +12,7 @@ from gpusim.domain.memory import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.pipeline.cache import Cache, same
-from gpusim.pipeline.loop import Loop, SharedOptics, checked_output
+from gpusim.pipeline.loop import Capture, Loop, SharedOptics, checked_output
 from gpusim.pipeline.planning import plan_inputs
 from gpusim.planner.plan import Plan
 
@@ -36,6 +36,7 @@ class Batch:
         planned_for: Scene whose plan is used for all scenes of its kind that it fits, in any order of calls. Other
             scenes get their own plans. None reuses plans of earlier scenes.
         plan: Plan for all frames, see `Loop`.
+        capture: Capture of each item, see `Loop`.
 
     Attributes:
         plans: Plans of the items of the last call.
@@ -52,8 +53,9 @@ class Batch:
         output: str = "codes",
         planned_for: Scene | None = None,
         plan: Plan | None = None,
+        capture: Capture | None = None,
     ):
-        self.output = checked_output(output)
+        self.output, self._capture = checked_output(output), capture
         self.count = checked_count("count of a batch", count, 1, MOST)
         self._simulator, self._cache = simulator, Cache(simulator.device)
         self._items: list[Loop | None] = [None] * self.count
@@ -104,7 +106,8 @@ class Batch:
         }
         values = {name: one_each(name, value, self.count) for name, value in given.items()}
         if isinstance(first, int | np.integer):
-            values["first"] = [first + item for item in range(self.count)]
+            each = 1 if self._capture is None else self._capture.count
+            values["first"] = [first + item * each for item in range(self.count)]
         sizes = {scene.shape for scene in map(checked_scene, values["scenes"])}
         if len(sizes) > 1:
             raise BadData(
@@ -127,7 +130,7 @@ class Batch:
         for item, (scene, camera, seconds, gain, seed, number) in enumerate(rows):
             loop = self._loop(item, scene, camera)
             loop.update(scene=scene, exposure_time=seconds, gain=gain)
-            if not item:  # the items' arrays and the memory of one frame
+            if not item and self._capture is None:  # the items' arrays and the memory of one frame
                 plan = loop.plan
                 needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
                 if needed > device.memory:
@@ -135,16 +138,17 @@ class Batch:
                     what = f"a batch of {self.count} frames of {size}"
                     raise DoesNotFit(what, needed, device.memory, device.name)
             frames.append(loop.output(self.output, seed=seed, first=number))
-            plans.append(loop.plan)
+            plans.append(loop.plan_of_output)
         checked = rows if self._planned_for is not None else ()
         for item, (scene, camera, seconds, gain, seed, number) in enumerate(checked):
             self._items[item].judge()
             if self._items[item].before.plan is None:
                 # the plan does not fit: make the frame with a new loop, for this call only
                 self._items[item] = None
-                loop = Loop(self._simulator.apart(camera, Cache()), scene, seconds, gain)
+                own = self._simulator.apart(camera, Cache())
+                loop = Loop(own, scene, seconds, gain, capture=self._capture)
                 frames[item] = loop.output(self.output, seed=seed, first=number)
-                plans[item] = loop.plan
+                plans[item] = loop.plan_of_output
         shapes = {tuple(array.shape) for array in frames}
         if len(shapes) > 1:
             raise BadData(
@@ -189,6 +193,7 @@ class Batch:
             if twin and self._planned_for is None
             else SharedOptics(simulator.device),
             plan=self._plan,
+            capture=self._capture,
         )
         if self._planned_for is not None:
             loop.plan  # noqa: B018  makes the plan for all later scenes

@@ -405,6 +405,7 @@ def make_frame(
     number: int,
     error: Error | None = None,
     is_timed: bool = True,
+    raw: Any = None,
 ) -> Frame:
     """Return one picture of an exposure. Its parts are computed lazily unless a loop rewrites the arrays.
 
@@ -415,12 +416,15 @@ def make_frame(
         number: Number of the frame.
         error: True error of the mean electrons, if known.
         is_timed: Count the exposure's times in this picture.
+        raw: Raw values, a device array with layers of stacked pixels below each other; None draws them.
 
     Raises:
         OutOfRange: The seed or the number is not allowed. Other errors are raised when a part is computed.
     """
     check_drawn(seed, number, None, 0)  # now, not when raw values are computed
     shot = _Shot(exposure, values, seed, number, error, is_timed)
+    if raw is not None:
+        shot.raw = raw
     frame = Frame(
         exposure.camera,
         exposure.exposure_time,

@@ -5,7 +5,7 @@ import time
 from itertools import chain
 from math import prod
 from operator import is_
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from gpusim.backends import Device
 from gpusim.color.rendering import Rendering
@@ -74,6 +74,17 @@ def checked_output(name: str) -> str:
     return name
 
 
+class Capture(Protocol):
+    """The frames that a camera takes of a scene, see `gpusim.captures.capture.Capture`."""
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+
+    def output(self, loop: "Loop", name: str, *, seed: int, first: int) -> tuple[Any, Plan]:
+        """Return one of OUTPUTS of a capture of the loop's scene, and the plan that made it."""
+
+
 @dataclasses.dataclass(frozen=True, eq=False)
 class _Check:
     """Statistics of a scene, on their way from the device to the host.
@@ -127,6 +138,8 @@ class Loop:
             their cameras need the same plan. Sharing loops may make outputs, but no frames.
         plan: Plan for every frame, instead of one for the scene. It is never replaced. Its errors are predicted for
             each scene when they are needed.
+        capture: Capture that `output` takes, instead of one frame of the scene at rest. The frames of its outputs are
+            on a first axis if it has several.
 
     Raises:
         BadData: The plan is for another kind of scene or camera.
@@ -143,7 +156,9 @@ class Loop:
         meters_late: bool = False,
         before: SharedOptics | None = None,
         plan: Plan | None = None,
+        capture: Capture | None = None,
     ):
+        self.capture, self._plan_of_capture = capture, plan
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.before = SharedOptics(simulator.device) if before is None else before
@@ -447,6 +462,9 @@ class Loop:
             BadData: Irradiance of a blur that varies over the field.
         """
         checked_output(name)
+        if self.capture is not None:
+            found, self._plan_of_capture = self.capture.output(self, name, seed=seed, first=first)
+            return found
         exposure, values = self.expose(), self.values
         if name == "irradiance":
             self._use("irradiance", self.simulator.imaging.irradiance_steps, exposure.plan)
@@ -504,6 +522,16 @@ class Loop:
             exposure = self.exposure
         exposure = dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
         return make_frame(exposure, self.values, seed, first)
+
+    @property
+    def settings(self) -> tuple[float | None, float, Plan | None]:
+        """Exposure time [s] or None, gain, and the given plan or None."""
+        return self._exposure_time, self._gain, self._fixed_plan
+
+    @property
+    def plan_of_output(self) -> Plan | None:
+        """The plan of the last output; of a capture None before the first one."""
+        return self.plan if self.capture is None else self._plan_of_capture
 
     @property
     def account(self) -> Account:

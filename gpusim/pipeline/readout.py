@@ -496,7 +496,8 @@ class Readout:
         noise.
 
         Args:
-            mean: Mean electrons of the exposure time, a device array, see `chip_mean` [e-].
+            mean: Mean electrons of the exposure time, a device array, see `chip_mean` [e-]. A list has those from each
+                read to the next, for light that changes.
             exposure_time: Exposure time [s].
             times: Times of the reads since the reset, rising [s].
             gain: Analog gain, next to the sensor's [1].
@@ -508,7 +509,9 @@ class Readout:
         """
         times = self.checked_reads(times)
         sensor, device, noise_ = self.sensor_at_gain(gain), self.device, self.sensor.noise
-        shape = prod(mean.shape[:-1]), mean.shape[-1]
+        steps_of_light = mean if isinstance(mean, list) else None
+        whole = mean[0] if isinstance(mean, list) else mean
+        shape = prod(whole.shape[:-1]), whole.shape[-1]
         shape = shape if self.pixels == 1 else binned_shape(shape, self.sensor.binning, self.stride)
         steps = self.noise_steps(shape)
         values, read = Values.of(steps, self._tables), steps[-1]
@@ -530,7 +533,10 @@ class Readout:
         charge: Any = np.float32(0)
         for number, time in enumerate(times):
             step = time - previous
-            more = self.chip_mean(mean, step, step / exposure_time)
+            if steps_of_light is None:
+                more = self.chip_mean(mean, step, step / exposure_time)
+            else:
+                more = self.chip_mean(steps_of_light[number], step)
             more = noise(
                 more,
                 dark_electrons=self.dark_electrons(step),

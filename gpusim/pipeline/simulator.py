@@ -20,7 +20,7 @@ from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.exposure import Exposure, exposure_steps
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.imaging import Imaging
-from gpusim.pipeline.loop import Loop
+from gpusim.pipeline.loop import Capture, Loop
 from gpusim.pipeline.planning import checked_reach, make_plan
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.step import Step
@@ -143,6 +143,7 @@ class Simulator:
         output: str = "codes",
         planned_for: Scene | None = None,
         plan: Plan | None = None,
+        capture: Capture | None = None,
     ) -> Batch:
         """Return a Batch: frames of several scenes, or with several settings, in one array.
 
@@ -151,11 +152,12 @@ class Simulator:
             output: A key of `gpusim.pipeline.loop.OUTPUTS`.
             planned_for: Scene whose plan is used for all scenes of its kind that it fits.
             plan: Plan for all frames.
+            capture: Capture of each item, see `gpusim.captures`; None is one frame.
 
         Returns:
             A callable, see `gpusim.pipeline.batch.Batch`.
         """
-        return Batch(self, count, output, planned_for, plan)
+        return Batch(self, count, output, planned_for, plan, capture)
 
     def loop(
         self,
@@ -164,6 +166,7 @@ class Simulator:
         gain: float = 1.0,
         meters_late: bool = False,
         plan: Plan | None = None,
+        capture: Capture | None = None,
     ) -> Loop:
         """Return a Loop: frames of a scene that reuse results that a change does not affect.
 
@@ -173,11 +176,12 @@ class Simulator:
             gain: Analog gain, next to the sensor's [1].
             meters_late: Expose each frame as metered in the frame before.
             plan: Plan for every frame, instead of one for the scene.
+            capture: Capture of each output, see `gpusim.captures`; None is one frame.
 
         Returns:
             The loop, see `gpusim.pipeline.loop.Loop`.
         """
-        return Loop(self, scene, exposure_time, gain, meters_late, plan=plan)
+        return Loop(self, scene, exposure_time, gain, meters_late, plan=plan, capture=capture)
 
     def stream(
         self,
@@ -190,6 +194,7 @@ class Simulator:
         gain: float = 1.0,
         meters_late: bool = True,
         plan: Plan | None = None,
+        capture: Capture | None = None,
     ) -> Stream:
         """Return an iterator over one frame of each scene. The next frame overwrites the array.
 
@@ -204,8 +209,10 @@ class Simulator:
             exposure_time: Exposure time [s]; None uses the camera's, see `expose`.
             gain: Analog gain, next to the sensor's [1].
             meters_late: If exposure is automatic, expose each frame but the first as metered in the frame before, like
-                a video camera. False meters each frame itself, which waits for the device.
+                a video camera. False meters each frame itself, which waits for the device. A capture in motion meters
+                its own first view.
             plan: Plan for all frames.
+            capture: Capture of each scene, see `gpusim.captures`; None is one frame.
 
         Returns:
             The iterator; it yields device arrays, and its `plan` made the last frame.
@@ -220,6 +227,7 @@ class Simulator:
             gain=gain,
             meters_late=meters_late,
             plan=plan,
+            capture=capture,
         )
 
     @overload

@@ -1,6 +1,7 @@
 """Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
 from collections.abc import Generator, Iterable, Iterator
+from itertools import count
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -70,14 +71,15 @@ class Stream(Iterator):
         uploaded = _upload_scenes(simulator.device, map(checked_scene, scenes))
         loop = None
         try:
-            for number, scene in enumerate(uploaded, first):
+            capture = self._settings.get("capture")
+            for number, scene in zip(count(first, capture.count if capture else 1), uploaded):
                 loop = (
                     simulator.loop(scene, **self._settings)
                     if loop is None
                     else loop.update(scene=scene)
                 )
                 frame = loop.output(output, seed=seed, first=number)
-                self.plan = loop.plan
+                self.plan = loop.plan_of_output
                 yield frame
             if loop is not None:
                 loop.judge()

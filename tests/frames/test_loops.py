@@ -13,7 +13,7 @@ from PIL import Image
 import gpusim as gs
 from gpusim.apps.video.loops import Lags, follow, meter_scenes
 from gpusim.apps.video.ramps import Ramps
-from gpusim.apps.video.video import blurred_frames, frames
+from gpusim.apps.video.video import captured_frames, frames
 from gpusim.cli.main import main
 
 PERIOD, COUNT = 1 / 30, 12
@@ -54,7 +54,7 @@ def test_a_step_is_followed_as_its_time_constant_says(lag):
 
 
 @pytest.mark.parametrize("device", KINDS)
-@pytest.mark.parametrize("made_by", [frames, blurred_frames])
+@pytest.mark.parametrize("made_by", [frames, captured_frames])
 def test_exposure_follows_in_stops(device, made_by):
     """Light that grows tenfold: the exposure falls by as much along an exponential curve, part of it by the gain."""
     bright = SCENE.brighten(10)

@@ -10,7 +10,7 @@ from devices import KINDS
 
 import gpusim as gs
 from gpusim.apps.video.scenes import Moving, Still
-from gpusim.apps.video.video import blurred_frames
+from gpusim.apps.video.video import captured_frames
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import Scene
 
@@ -120,17 +120,17 @@ def test_a_resting_camera_is_one_picture_and_odd_numbers_are_refused():
         )
 
 
-def test_blurred_frames_are_those_of_their_times():
+def test_captured_frames_are_those_of_their_times():
     """Each by itself, whatever was made before."""
     scene = gs.chart("deadleaves", size=(64, 48))
     simulator = gs.Simulator(camera(), device="opencl:0", tolerance=0.2)
     scenes = Moving(Still(scene, 6), PATHS[0], 25)
     every = {
         one.number: one.values
-        for one in blurred_frames(simulator, scenes, [[0, 0, 1, 2], [3, 3, 5]], output="raw")
+        for one in captured_frames(simulator, scenes, [[0, 0, 1, 2], [3, 3, 5]], output="raw")
     }
     assert list(every) == [0, 1, 2, 3, 5]
-    for one in blurred_frames(simulator, scenes, [[3, 5], [0, 1]], output="raw"):
+    for one in captured_frames(simulator, scenes, [[3, 5], [0, 1]], output="raw"):
         assert np.array_equal(one.values, every[one.number])
     exposure = gs.expose_motion(simulator, scene, PATHS[0], start=5 / 25)
     assert np.array_equal(every[5], simulator.device.numpy(exposure.raw(first=5)))

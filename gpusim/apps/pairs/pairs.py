@@ -10,6 +10,7 @@ import numpy as np
 from gpusim.apps.pairs.shards import npy
 from gpusim.apps.pairs.variety import Variety
 from gpusim.apps.video.pipeline import ahead
+from gpusim.captures.capture import Capture, Light
 from gpusim.color.speed import gain_for_speed
 from gpusim.domain.camera import Camera
 from gpusim.domain.scene import Scene
@@ -35,6 +36,8 @@ class Pairs:
         seed: Seed of the noise and of the variety.
         pictures: Whether pairs have display codes.
         plan: Plan of all pairs, see `Simulator`. None: each pair has its own.
+        capture: Capture of each pair. The frames of a capture that is not merged are on a first
+            axis.
     """
 
     def __init__(
@@ -47,7 +50,9 @@ class Pairs:
         seed: int = 0,
         pictures: bool = False,
         plan: Plan | None = None,
+        capture: Capture | None = None,
     ):
+        self._capture = capture
         self._simulator, self._photographs, self._opened = simulator, photographs, opened
         self._variety, self._each, self._seed = variety, each, seed
         self._pictures, self._plan = pictures, plan
@@ -76,12 +81,17 @@ class Pairs:
         pair = self._pair(number, scene, values)
         files = {"raw.npy": npy(pair["raw"]), "clean.npy": npy(pair["clean"])}
         if "rgb" in pair:
-            files["rgb.png"] = png_bytes(pair["rgb"], self._simulator.camera.display)
+            shown = pair["rgb"]
+            if shown.ndim == 4:  # the frames of a capture, one below the other
+                shown = shown.reshape(-1, *shown.shape[2:])
+            files["rgb.png"] = png_bytes(shown, self._simulator.camera.display)
         return files | {"json": (json.dumps(pair["record"], sort_keys=True) + "\n").encode()}
 
     def _pair(self, number, scene, values):
         simulator = self._simulator
         gain = gain_of(simulator.camera, values.get("iso"))
+        if self._capture is not None:
+            return self._capture_pair(number, scene, values, gain)
         loop = simulator.loop(scene, values.get("exposure"), gain, plan=self._plan)
         exposure, account = loop.exposure, loop.account
         raw = np.array(simulator.device.numpy(loop.raw(seed=self._seed, first=number)))
@@ -91,6 +101,45 @@ class Pairs:
         if self._pictures:
             codes = loop.codes(seed=self._seed, first=number)
             pair["rgb"] = np.array(simulator.device.numpy(codes))
+        return pair | {"record": self._record(number, values, exposure, sensor, account)}
+
+    def _capture_pair(self, number, scene, values, gain):
+        """Return the pair of a capture."""
+        simulator, capture = self._simulator, self._capture
+        first = number * capture.count
+        seconds = values.get("exposure")
+        light = Light(capture, simulator, scene, first, seconds, gain, self._plan)
+        shots = capture.shots(light, self._seed, first)
+        frames = capture.frames(simulator, shots)
+        cleans = []
+        for frame, shot in zip(frames, shots, strict=False):
+            sensor, own = frame.camera.sensor, shot.exposure
+            mean = own.values()["mean of pixels"] * np.float32(
+                frame.exposure_time / own.exposure_time if capture.merged else 1.0
+            )
+            scale = np.float32(sensor.gain_dn_per_electron)
+            cleans.append(mean * scale + np.float32(sensor.dark_level))
+        parts = {"raw": [frame.raw for frame in frames], "clean": cleans}
+        if self._pictures:
+            parts["rgb"] = [frame.rgb for frame in frames]
+        is_one = capture.merged or not capture.has_frames
+        pair = {name: part[0] if is_one else np.stack(part) for name, part in parts.items()}
+        plan, exposure = shots[0].exposure.plan, shots[0].exposure
+        account = plan.account.at(exposure.exposure_time)
+        record = self._record(number, values, exposure, frames[0].camera.sensor, account)
+        times = [frame.exposure_time for frame in frames]
+        return pair | {
+            "record": record
+            | {
+                "frame": first,
+                "exposure_time_s": times[0] if is_one else times,
+                "capture": str(capture),
+            }
+        }
+
+    def _record(self, number, values, exposure, sensor, account):
+        """Return the settings of a pair."""
+        simulator = self._simulator
         record = {
             "photograph": self._photographs[number // self._each].name,
             "camera": simulator.camera.name,
@@ -109,7 +158,7 @@ class Pairs:
         }
         if simulator.tolerance is not None:
             record["verdict"] = account.verdict(simulator.tolerance).as_dict()
-        return pair | {"record": record}
+        return record
 
 
 def gain_of(camera: Camera, speed: float | None) -> float:

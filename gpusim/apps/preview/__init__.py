@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, cast
 if TYPE_CHECKING:
     from gpusim.apps.preview.notebook import Preview
     from gpusim.backends import Device
+    from gpusim.captures.capture import Capture
     from gpusim.domain.camera import Camera
     from gpusim.domain.scene import Scene
 
@@ -25,6 +26,7 @@ class _Function(ModuleType):
         *,
         device: "Device | str" = "auto",
         tolerance: str | None = "1e-3",
+        capture: "Capture | None" = None,
     ) -> "Preview":
         """Return a widget for Jupyter: sliders, and a picture of the scene that follows them.
 
@@ -33,6 +35,7 @@ class _Function(ModuleType):
             camera: A Camera, the name of a built-in camera, or a camera file.
             device: Name of the device, or a Device.
             tolerance: One of `gpusim.apps.preview.controls.TOLERANCES`. None: "exact".
+            capture: Capture of each picture, of one frame or merged. None: one frame at rest.
 
         Returns:
             A `gpusim.apps.preview.notebook.Preview`.
@@ -50,7 +53,7 @@ class _Function(ModuleType):
             raise Missing(why) from None
         from gpusim.apps.preview.notebook import open_widget
 
-        return open_widget(scene, camera, device, tolerance)
+        return open_widget(scene, camera, device, tolerance, capture)
 
 
 sys.modules[__name__].__class__ = _Function

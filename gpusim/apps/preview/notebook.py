@@ -32,6 +32,7 @@ from gpusim.apps.preview.session import DEVICE, HEAD, JPEG, PNG, Session
 from gpusim.apps.preview.state import History, State
 from gpusim.apps.video.scenes import Still
 from gpusim.backends import open_device
+from gpusim.captures.capture import Capture
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import UnknownName
 from gpusim.domain.scene import checked_scene
@@ -43,7 +44,9 @@ HISTOGRAM_INTERVAL = 0.5  # [s] between histograms, while a slider is moved
 STYLE = {"description_width": "9em"}
 
 
-def open_widget(scene, camera, device="auto", tolerance: str | None = "1e-3") -> "Preview":
+def open_widget(
+    scene, camera, device="auto", tolerance: str | None = "1e-3", capture: Capture | None = None
+) -> "Preview":
     """Return the widget of `gs.preview`."""
     tolerance = "exact" if tolerance is None else str(tolerance)
     if tolerance not in TOLERANCES:
@@ -58,7 +61,7 @@ def open_widget(scene, camera, device="auto", tolerance: str | None = "1e-3") ->
         table = camera_table(state.camera)[1]
         state.build()  # raises errors here
     device = open_device(device) if isinstance(device, str) else device
-    return Preview(Producer(Still(scene, 1), device), state, table)
+    return Preview(Producer(Still(scene, 1), device, capture=capture), state, table)
 
 
 class Preview(HBox):

@@ -13,8 +13,9 @@ from gpusim.apps.preview.measures import edge, error_map, light, on_host
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Scenes
 from gpusim.backends import Device
+from gpusim.captures.capture import Capture, Light
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData
+from gpusim.domain.errors import BadData, Conflict
 from gpusim.io.scene.scenes import relight
 from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.measure.checker import checker_of
@@ -44,11 +45,22 @@ class Picture:
 class Producer:
     """A client's pictures of scenes. One thread at a time may use all producers of a device.
 
-    period: least time between frames of moving scenes [s], 0 for still ones.
+    period: least time between frames of moving scenes [s], 0 for still ones. capture: capture of
+    each picture; None is one frame.
     """
 
-    def __init__(self, scenes: Scenes, device: Device, period: float = 0.0):
+    def __init__(
+        self,
+        scenes: Scenes,
+        device: Device,
+        period: float = 0.0,
+        capture: Capture | None = None,
+    ):
+        if capture is not None and capture.has_frames:
+            reason = "a preview shows one frame of each scene"
+            raise Conflict("capture", reason, "merge its frames")
         self._scenes, self._device, self.period = scenes, device, period
+        self._capture = capture
         self.frames = NUMBERS if scenes.is_still else scenes.count
         self._built: tuple[State | None, Camera | None] = None, None
         self._loop = None
@@ -72,7 +84,8 @@ class Producer:
             "electrons": self._electrons,
             "noise": self._noise,
         }
-        codes = np.ascontiguousarray(show[state.view](loop, state.seed, number))
+        shown = self._shown_frame(loop, state.seed, number)
+        codes = np.ascontiguousarray(show[state.view](shown))
         account, exposure = loop.account, loop.exposure
         plan = loop.plan
         tolerance = None if plan.is_draft else loop.simulator.tolerance
@@ -89,7 +102,8 @@ class Producer:
         if state.other is None:
             self._other = None  # frees its memory on the device
         else:
-            self._other = self._other or Producer(self._scenes, self._device)
+            other = self._other or Producer(self._scenes, self._device, capture=self._capture)
+            self._other = other
             codes = _beside(
                 codes, self._other.picture(state.other, number, drafts).codes, state.split
             )
@@ -102,6 +116,10 @@ class Producer:
         """
         simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
         scene = self._scene_in(state, number)
+        if self._capture is not None:
+            first = number * self._capture.count
+            (frame,) = self._capture.take(simulator, scene, seed=state.seed, first=first)
+            return frame.complete()
         return next(simulator.frames(scene, 1, seed=state.seed, first=number)).complete()
 
     def error(self, state: State, number: int) -> Callable[[], tuple[np.ndarray, Error]]:
@@ -206,31 +224,61 @@ class Producer:
     def _on_host(self, array):
         return on_host(self._device, array)
 
-    def _render(self, loop, seed, number):
-        return self._on_host(loop.codes(seed=seed, first=number))
+    def _shown_frame(self, loop, seed, number):
+        """Return the frame that is shown: its values are computed when they are read."""
+        if self._capture is None:
+            return _Shown(self, loop, seed, number)
+        first = number * self._capture.count
+        shots = self._capture.shots(Light.of(self._capture, loop, first), seed, first)
+        return self._capture.frames(loop.simulator, shots)[0]
 
-    def _raw(self, loop, seed, number):
-        raw = self._on_host(loop.raw(seed=seed, first=number))
-        sensor = loop.exposure.camera.sensor
+    def _render(self, frame):
+        return frame.rgb
+
+    def _raw(self, frame):
+        sensor = frame.camera.sensor
         span = sensor.white_level - sensor.black_level
-        codes = _encode((raw - np.float32(sensor.black_level)) / span)
-        return color_mosaic(sensor, loop.exposure.split_layers(codes))
+        codes = _encode((frame.raw - np.float32(sensor.black_level)) / span)
+        return color_mosaic(sensor, codes)
 
-    def _electrons(self, loop, seed, number):
-        mean = loop.exposure.split_layers(self._on_host(loop.exposure.mean))
-        sensor = loop.exposure.camera.sensor
-        return color_mosaic(sensor, _encode(mean / sensor.saturation))
+    def _electrons(self, frame):
+        sensor = frame.camera.sensor
+        return color_mosaic(sensor, _encode(frame.mean / sensor.saturation))
 
-    def _noise(self, loop, seed, number):
-        exposure, sensor = loop.exposure, loop.exposure.camera.sensor
-        raw = exposure.split_layers(self._on_host(loop.raw(seed=seed, first=number)))
-        mean = exposure.split_layers(self._on_host(exposure.mean))
+    def _noise(self, frame):
+        sensor = frame.camera.sensor
         expected = np.minimum(
-            mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level
+            frame.mean * sensor.gain_dn_per_electron + sensor.dark_level, sensor.white_level
         )
-        sigma = np.sqrt(mean + sensor.read_sigma**2) * sensor.gain_dn_per_electron
-        shown = np.clip(0.5 + (raw - expected) / (2 * SPREAD * np.maximum(sigma, 1e-9)), 0, 1)
+        sigma = np.sqrt(np.maximum(frame.mean, 0) + sensor.read_sigma**2)
+        sigma *= sensor.gain_dn_per_electron
+        shown = np.clip(0.5 + (frame.raw - expected) / (2 * SPREAD * np.maximum(sigma, 1e-9)), 0, 1)
         return _grey(np.uint8(255 * shown + 0.5))
+
+
+class _Shown:
+    """A frame of a loop, with the fields of a Frame that the preview shows."""
+
+    def __init__(self, producer, loop, seed, number):
+        self._producer, self._loop, self._numbers = producer, loop, {"seed": seed, "first": number}
+
+    @property
+    def camera(self):
+        return self._loop.exposure.camera
+
+    @property
+    def rgb(self):
+        return self._producer._on_host(self._loop.codes(**self._numbers))
+
+    @property
+    def raw(self):
+        exposure = self._loop.exposure
+        return exposure.split_layers(self._producer._on_host(self._loop.raw(**self._numbers)))
+
+    @property
+    def mean(self):
+        exposure = self._loop.exposure
+        return exposure.split_layers(self._producer._on_host(exposure.mean))
 
 
 def _encode(light):

@@ -22,6 +22,7 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.io.scene.scenes import LIGHT, LUMINANCE
 from gpusim.pipeline.batch import one_each
+from gpusim.pipeline.loop import Capture
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -50,6 +51,8 @@ class PictureBatch:
         tolerance: See `Simulator`. With one, each picture is planned, which takes time; without
             one, each shape.
         plan: Plan of all pictures, see `Simulator`.
+        capture: Capture of each picture, see `gpusim.captures`. The frames of a capture that is not
+            merged are on the axis after the pictures.
         options: Options of every Scene, for example border.
 
     Attributes:
@@ -71,11 +74,13 @@ class PictureBatch:
         luminance: float = LUMINANCE,
         tolerance: Tolerance | str | None = None,
         plan: Plan | None = None,
+        capture: Capture | None = None,
         **options: Any,
     ):
         self.simulator = Simulator(camera, device=device, tolerance=tolerance)
         self.simulator.batch(1, output)  # refuses an unknown output
         self.output, self._options, self._plan = output, options, plan
+        self._capture = capture
         self.plans: list[Plan] = []
         self.wavelengths = None if wavelengths is None else np.asarray(wavelengths, np.float64)
         if light is not None:
@@ -147,10 +152,12 @@ class PictureBatch:
             self.plans = batch.plans
             return self._return_frames(pictures, frames)
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
-        batches, frames = [self.simulator.batch(1, self.output) for _ in scenes], []
+        capture, frames = self._capture, []
+        batches = [self.simulator.batch(1, self.output, capture=capture) for _ in scenes]
+        step = 1 if capture is None else capture.count
         for item, (batch, scene) in enumerate(zip(batches, scenes, strict=True)):
             own = {name: given[item] for name, given in each.items()}
-            one = batch(scene, seed=seed, first=first + item, **own)
+            one = batch(scene, seed=seed, first=first + item * step, **own)
             frames.append(np.array(self.simulator.device.numpy(one)))
         self.plans = [batch.plans[0] for batch in batches]
         return self._return_frames(pictures, np.concatenate(frames))
@@ -158,7 +165,7 @@ class PictureBatch:
     def _return_frames(self, pictures, frames):
         """Return frames as an array of the pictures' library."""
         made = _convert(pictures, self.simulator.device, frames)
-        return move_axis(made, -1, 1) if self.output == "codes" else made
+        return move_axis(made, -1, -3) if self.output == "codes" else made
 
     def _scene(self, values) -> Scene:
         """Return the scene of a picture."""
@@ -178,7 +185,7 @@ class PictureBatch:
         if shape not in self._batches:
             grey = self._scene(np.full(shape[1:], GREY, np.float32))
             self._batches[shape] = self.simulator.batch(
-                shape[0], self.output, planned_for=grey, plan=self._plan
+                shape[0], self.output, planned_for=grey, plan=self._plan, capture=self._capture
             )
             if len(self._batches) > SHAPES:
                 self._batches.popitem(last=False)

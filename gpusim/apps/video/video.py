@@ -20,15 +20,15 @@ from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.scenes import Moving, Scenes
 from gpusim.apps.video.segments import numbered_path
-from gpusim.captures.moving import expose_motion
+from gpusim.captures.capture import Capture, Light
 from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import Conflict, OutOfRange
 from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.simulator import Simulator
 
-NO_RAMPS = Ramps()
+NO_RAMPS, ONE_FRAME = Ramps(), Capture()
 READ, COMPUTED = 2, 3  # scenes and frames that are computed ahead
 
 
@@ -133,46 +133,65 @@ def frames(
             loop.judge()
 
 
-def blurred_frames(
+def captured_frames(
     simulator: Simulator,
-    scenes: Moving,
+    scenes: Scenes,
     segments: Iterable[list[int]],
     *,
     seed: int = 0,
     output: str | None = None,
     ramps: Ramps = NO_RAMPS,
     loops: Loops = NO_LOOPS,
+    capture: Capture = ONE_FRAME,
+    blur: bool = True,
 ) -> Iterator[Made]:
-    """Yield frames with motion blur, rolling shutter and flicker; see `frames`.
+    """Yield frames with motion blur, rolling shutter and flicker, or merged captures; see `frames`.
 
     Each frame meters its first view.
+
+    Args:
+        simulator: Camera and device.
+        scenes: Scenes of all frames.
+        segments: As for `frames`.
+        seed: Seed of the noise.
+        output: As for `frames`.
+        ramps: As for `frames`.
+        loops: As for `frames`.
+        capture: Capture of each frame. Movement and flicker are the scenes'.
+        blur: Whether scenes move during a capture; False shows each as it is at its start.
+
+    Raises:
+        Conflict: The capture has several frames that are not merged.
     """
+    if capture.has_frames:
+        reason = "a video shows one frame of each scene"
+        raise Conflict("capture", reason, "merge its frames")
     last, still = max(scenes.count - 1, 1), simulator
+    moving = scenes if blur and isinstance(scenes, Moving) else None
+    if moving is not None:
+        capture = replace(
+            capture, motion=moving.motion, flicker=moving.flicker, period=moving.period
+        )
+    source: Scenes = scenes if moving is None else moving.still
     for _, *wanted in segments:
         for number in wanted:
-            scene: Any = ramps.scene(next(scenes.still.between(number, number + 1)), number / last)
-            if scenes.actors:
-                scene = Animation(scene, scenes.actors)
+            scene: Any = ramps.scene(next(source.between(number, number + 1)), number / last)
+            if moving is not None and moving.actors:
+                scene = Animation(scene, moving.actors)
             camera = loops.camera(ramps.camera(still.camera, number / last), number)
             simulator = still if camera is still.camera else still.update(camera)
-            exposure = expose_motion(
-                simulator,
-                scene,
-                scenes.motion,
-                start=number * scenes.period,
-                flicker=scenes.flicker,
-                **loops.operation(camera, number),
-            )
+            first, operation = number * capture.count, loops.operation(camera, number)
+            light = Light(capture, simulator, scene, first, **operation)
+            shots = capture.shots(light, seed, first)
+            exposure = shots[0].exposure
             values: Any
-            if output is None:
-                values = exposure.frame(seed=seed, first=number).complete()
+            if output is None or capture.merged:
+                (values,) = capture.frames(simulator, shots)
+                values = values.complete()
+                if output is not None:
+                    values = {"raw": values.raw, "codes": values.rgb}.get(output, values.linear)
             else:
-                values = exposure.raw(seed=seed, first=number)
-                if output == "codes":
-                    values = exposure.codes(values)
-                elif output != "raw":
-                    values = exposure.develop(values)[0]
-                values = _on_host(simulator, values, output)
+                values = _on_host(simulator, shots[0].output(output), output)
             account = exposure.plan.account.at(exposure.exposure_time)
             yield Made.of(number, values, account, exposure)
 
@@ -225,7 +244,7 @@ class NumberedFiles:
         """Write the missing frames of the segments; yield each written one.
 
         Args:
-            make: `frames` or `blurred_frames` of a simulator and its scenes.
+            make: `frames` or `captured_frames` of a simulator and its scenes.
             segments: Segments to write.
 
         Raises:
