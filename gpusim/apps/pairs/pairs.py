@@ -13,6 +13,7 @@ from gpusim.apps.video.pipeline import ahead
 from gpusim.color.speed import gain_for_speed
 from gpusim.domain.camera import Camera
 from gpusim.domain.scene import Scene
+from gpusim.io.frame.frames import named_labels
 from gpusim.io.frame.images import png_bytes
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
@@ -69,7 +70,7 @@ class Pairs:
         return number, self._opened(self._photographs[number // self._each], values), values
 
     def pair(self, number: int) -> dict:
-        """Return raw values, clean values, codes (with pictures), and a record of the settings."""
+        """Return raw values, clean values, codes (with pictures), a record of the settings, and labels."""
         return self._pair(*self._read(number))
 
     def _files(self, number, scene, values):
@@ -77,6 +78,7 @@ class Pairs:
         files = {"raw.npy": npy(pair["raw"]), "clean.npy": npy(pair["clean"])}
         if "rgb" in pair:
             files["rgb.png"] = png_bytes(pair["rgb"], self._simulator.camera.display)
+        files |= {f"{name}.npy": npy(label) for name, label in named_labels(pair["labels"]).items()}
         return files | {"json": (json.dumps(pair["record"], sort_keys=True) + "\n").encode()}
 
     def _pair(self, number, scene, values):
@@ -109,7 +111,7 @@ class Pairs:
         }
         if simulator.tolerance is not None:
             record["verdict"] = account.verdict(simulator.tolerance).as_dict()
-        return pair | {"record": record}
+        return pair | {"record": record, "labels": exposure.labels}
 
 
 def gain_of(camera: Camera, speed: float | None) -> float:
