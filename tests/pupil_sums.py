@@ -19,7 +19,9 @@ def waves(lens, x, y, place=(0.0, 0.0), distance=None):
     total = total * (lens.wavefront.reference * 1e-9)
     if distance is not None:  # vergence times half the squared height of the ray
         aperture = lens.focal_length / lens.f_number / 2
-        total = total + (1 / lens.object_distance - 1 / distance) * (aperture * aperture) / 2 * square
+        total = (
+            total + (1 / lens.object_distance - 1 / distance) * (aperture * aperture) / 2 * square
+        )
     return total
 
 

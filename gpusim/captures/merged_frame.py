@@ -112,6 +112,7 @@ def develop_merged(
         linear,
         rgb,
         report,
+        frame.labels,
         frame.blur,
         shading,
         averaged=None,

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.optics.geometry import relative_illumination
+from gpusim.optics.geometry import lagrange_weights, relative_illumination
 
 NODES = (2, 3, 5, 9, 17, 33, 65, 129)  # numbers of nodes to try, per axis
 INTERPOLATION = 2e-4  # largest relative error of the gains between nodes
@@ -15,6 +15,8 @@ def relative_response(
     slope: float,
     falloff: np.ndarray | None = None,
     nodes: np.ndarray | None = None,
+    margin: float = 0.0,
+    field: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return the response to a uniform scene relative to the axis.
 
@@ -26,6 +28,8 @@ def relative_response(
         slope: Tangent of the field angle per pixel; 0: no cos^4 law.
         falloff: Further fall-off of every pixel, shape (rows, cols), or None.
         nodes: Nodes of a distortion, see `gpusim.optics.geometry.DistortionGrid`, or None.
+        margin: Pixels around the frame that the nodes cover as well.
+        field: Flat field of a blur that varies, shape (rows, cols), or None.
 
     Returns:
         Response, float64, shape (rows, cols).
@@ -35,9 +39,14 @@ def relative_response(
         response *= relative_illumination("cos4", shape, slope, 1.0)
     if falloff is not None:
         response *= falloff
+    if field is not None:
+        response *= field
     if nodes is not None:
         flux = nodes[..., 2]
-        along_y, along_x = map(_cubics, flux.shape, shape)
+        along_y, along_x = (
+            lagrange_weights(count, (np.arange(n) + 0.5 + margin) / (n + 2 * margin))
+            for count, n in zip(flux.shape, shape, strict=True)
+        )
         response *= along_y @ flux @ along_x.T
     return response
 
@@ -154,21 +163,6 @@ def _at(values, places, pixels):
     first = np.clip(np.floor(places).astype(int), 0, pixels - 2)
     part = (places - first)[:, None]
     return np.maximum((1 - part) * values[first] + part * values[first + 1], 0)
-
-
-def _cubics(count, pixels):
-    """Return the weight of each of `count` nodes at each pixel, shape (pixels, count).
-
-    The polynomials equal those in `optics.distort`.
-    """
-    place = (np.arange(pixels) + 0.5) / pixels * (count - 1)
-    first = np.clip(place.astype(int) - 1, 0, count - 4)
-    weights = np.zeros((pixels, count))
-    for a in range(4):
-        weights[np.arange(pixels), first + a] = np.prod(
-            [(place - first - b) / (a - b) for b in range(4) if b != a], 0
-        )
-    return weights
 
 
 def _hats(count, pixels):

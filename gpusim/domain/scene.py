@@ -1,5 +1,6 @@
 """The scene: spectral reflectance (or radiance) of surfaces, the light on them, and the part shown."""
 
+from collections.abc import Mapping
 from copy import copy
 from dataclasses import dataclass, field
 from math import cos, isfinite, pi, sin
@@ -92,7 +93,23 @@ class View:
         c, s = cos(self.rotation) / self.zoom, sin(self.rotation) / self.zoom
         return c * y + s * x + ratio * self.shift[0], c * x - s * y + ratio * self.shift[1]
 
+    def seen_at(self, y: Any, x: Any, ratio: float = 1.0) -> tuple[Any, Any]:
+        """Return the frame positions that show scene positions: the inverse of `place`.
 
+        Args:
+            y: Rows of the scene relative to the centre [sample], a number or an array.
+            x: Columns of the scene [sample].
+            ratio: Scene samples per pixel.
+
+        Returns:
+            Rows and columns of the frame [sample].
+        """
+        c, s = cos(self.rotation) * self.zoom, sin(self.rotation) * self.zoom
+        y, x = y - ratio * self.shift[0], x - ratio * self.shift[1]
+        return c * y - s * x, s * y + c * x
+
+
+BOXES, FLOW = "boxes", "flow"  # labels that are no maps of whole numbers
 BORDERS = ("zero", "edge", "reflect", "scene")
 
 
@@ -137,6 +154,10 @@ class Scene(Pictured):
             surfaces. They need `depth`.
         view: Part of the scene that the frame shows. It replaces the scene, and continues outside
             the frame according to `border`. Not with `depth`.
+        labels: Labels by name, which `gpusim.carry_labels` brings to the pixels: maps of whole
+            numbers, shape (rows, cols), for example "instance" or "semantic"; "flow", where each
+            sample's point goes until the next frame, (rows, cols, 2) [sample] down and across;
+            "boxes", (n, 4), top, left, bottom and right edges [sample]. They include the margin.
         notes: Deviations from the file it was read from; reports repeat them.
 
     Raises:
@@ -156,6 +177,7 @@ class Scene(Pictured):
     layers: tuple[Layer, ...] = ()
     view: View = field(default_factory=View)
     notes: tuple[str, ...] = ()
+    labels: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self):
         if not isinstance(self.content, Content):
@@ -196,6 +218,39 @@ class Scene(Pictured):
                 raise BadData(f"{self._label}: depth must be positive everywhere [m]")
         self._check_view()
         self._check_layers()
+        self._check_labels()
+
+    def _check_labels(self):
+        if not isinstance(self.labels, Mapping):
+            raise BadData(
+                f"{self._label}: labels {type(self.labels).__name__}, wanted a dict of names and arrays"
+            )
+        checked = {}
+        for name, label in self.labels.items():
+            if not (isinstance(name, str) and name.isidentifier()) or name == "depth":
+                raise BadData(
+                    f"{self._label}: label {one_line(str(name))!r}, wanted a name of letters, digits and _; "
+                    "depth is an argument of its own"
+                )
+            array, shape = np.asarray(label), self.content.shape
+            wanted, kinds, words = shape, "biu", "whole numbers"
+            if name == FLOW:
+                wanted, kinds, words = (*shape, 2), "f", "finite numbers"
+            elif name == BOXES:
+                count = len(array) if array.ndim else 0
+                wanted, kinds, words = (count, 4), "fiu", "finite numbers"
+            if array.shape != wanted or array.dtype.kind not in kinds:
+                raise BadData(
+                    f"{self._label}: label {name}, {array.dtype} {array.shape}, wanted {words}, shape {wanted}"
+                )
+            if array.dtype.kind == "f" and not np.isfinite(array).all():
+                raise BadData(f"{self._label}: label {name} is not finite everywhere")
+            if name == BOXES and (array[:, 2:] < array[:, :2]).any():
+                raise BadData(
+                    f"{self._label}: label {name}: wanted top, left, bottom, right with top <= bottom, left <= right"
+                )
+            checked[name] = array
+        object.__setattr__(self, "labels", checked)
 
     def _check_view(self):
         if not isinstance(self.view, View):

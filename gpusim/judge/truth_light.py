@@ -5,6 +5,7 @@ image, after an extension by the rule of the border. Newton's method finds the s
 in the image, from the model of the camera.
 """
 
+from functools import cache
 from math import ceil
 from typing import Any
 
@@ -14,7 +15,9 @@ import scipy
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
+from gpusim.optics.lens import open_lens
 from gpusim.optics.outside import border_indices
+from gpusim.optics.weights import electrons_per_content
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
@@ -32,6 +35,10 @@ RIM = 32
 FARTHEST = 512
 # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
 FINER = 2.0
+# places along an axis at which the spreads of a blur that varies give its flat field, and the step
+# of differences between them, of the corner's height
+PLACES = 17
+STEP = 1 / 64
 PARTS = 4
 
 
@@ -43,18 +50,27 @@ def centre_pads(period, shape) -> list[tuple[int, int]]:
 
 def axis_of(camera, shape) -> tuple[float, float]:
     """Return the place of the optical axis, from the middle of a frame, (rows, cols) [pixel]."""
-    distortion, pitch = camera.optics.distortion, camera.sensor.pixel_pitch
-    model = None if distortion is None else fit_to_frame(distortion, shape, pitch)
+    model, pitch = _distortion_of(camera, shape), camera.sensor.pixel_pitch
     if not isinstance(model, Framed):
         return 0.0, 0.0
     x, y = (middle * model.radius / pitch for middle in model.middle)
     return y, x
 
 
+def _distortion_of(camera, shape):
+    """Return the distortion of the lens in a frame of `shape`, or None."""
+    distortion = camera.optics.distortion
+    return (
+        None if distortion is None else fit_to_frame(distortion, shape, camera.sensor.pixel_pitch)
+    )
+
+
 def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
     """Return the light of every wavelength at its place in the image, (L, rows, cols).
 
-    The distortion of the lens and the view of the scene displace it.
+    The distortion of the lens and the view of the scene displace it. A star keeps its energy, and
+    a flat field is the sum of its points; with a relative illumination that is given, a flat field
+    stays flat.
 
     Args:
         camera: The camera.
@@ -70,14 +86,20 @@ def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
     y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
     source = _source_of(camera, scene, light.shape[1:])
     nodes, mass = np.zeros(1), np.ones(1)
-    if camera.optics.distortion is not None and _most_samples(source, y, x) > FINER:
+    model = _distortion_of(camera, scene.shape)
+    if model is not None and _most_samples(source, y, x) > FINER:
         nodes, mass = (part / 2 for part in np.polynomial.legendre.leggauss(PARTS))
-    total = np.zeros(light.shape)
+    total, flat = np.zeros(light.shape), np.zeros((rows, cols))
     for down, high in zip(nodes, mass, strict=True):
         for across, wide in zip(nodes, mass, strict=True):
             at_y, at_x, flux = source(y[:, None] + down, x + across)
             seen = band_limited(light, at_y, at_x, scene.border)
             total += high * wide * (flux if is_flux else 1) * seen
+            flat += high * wide * flux
+    if is_flux and model is not None and not isinstance(camera.optics.relative_illumination, str):
+        at = model.middle if isinstance(model, Framed) else (0.0, 0.0)
+        a, b, c, d = model.derivative(*map(np.float64, at))
+        total /= flat * (a * d - b * c)
     return total
 
 
@@ -102,9 +124,7 @@ def _source_of(camera, scene, shape):
     It also returns the area of the source relative to the image.
     """
     rows, cols = shape
-    distortion, model = camera.optics.distortion, None
-    if distortion is not None:
-        model = fit_to_frame(distortion, scene.shape, camera.sensor.pixel_pitch)
+    model = _distortion_of(camera, scene.shape)
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
 
     def source(y, x):
@@ -201,11 +221,54 @@ def falloff_gain(camera, scene) -> np.ndarray:
     elif optics.relative_illumination != "none":
         table = optics.relative_illumination
         gain = relative_illumination(table, shape, pitch, distance, displacement=from_axis)
+        gain = gain / _flat_of_blur(camera, scene, from_axis)
     if sensor.microlens is not None:
         gain = gain * microlens_gain(sensor.microlens, shape, pitch, distance, from_axis)
     if sensor.vignetting is not None:
         gain = gain * vignetting_gain(sensor.vignetting, shape, sensor.displacement)
     return gain
+
+
+def _flat_of_blur(camera, scene, from_axis):
+    """Return the light of a flat field through a blur that varies, relative to the axis, (rows, cols).
+
+    It is 1 minus the divergence of the centroids, by differences over a sample, plus half of the
+    second derivatives of the second moments of spreads that hold all light.
+    """
+    if not camera.optics.varies:
+        return np.ones(scene.shape)
+    pitch = camera.sensor.pixel_pitch
+    corner = float(np.hypot(*scene.shape)) / 2
+    lens = open_lens(camera.optics, pitch, 1.0, scene.shape)
+    light = electrons_per_content(scene, camera).sum(axis=0)
+    at = [np.arange(n) - (n - 1) / 2 + move for n, move in zip(scene.shape, from_axis, strict=True)]
+    spaced = [np.linspace(part.min(), part.max(), min(len(part), PLACES)) for part in at]
+
+    @cache
+    def moments(y, x):
+        """Centroid (y, x) and second moments (y y, x x, y x) of a point's light at a place."""
+        place = (y / corner, x / corner)
+        if lens.tail is not None:
+            centroids = lens.centroids(scene.wavelengths, place)
+            return np.append(light @ centroids / light.sum(), np.zeros(3))
+        kernels = lens.kernels(scene.wavelengths, place, lens.least_size | 1)
+        kernel = np.tensordot(light / light.sum(), kernels, 1)
+        v, u = np.indices(kernel.shape) - kernel.shape[0] // 2
+        return np.array([(kernel * power).sum() for power in (v, u, v * v, u * u, u * v)])
+
+    def flat(y, x):
+        step = STEP * corner
+        near = {(i, j): moments(y + i * step, x + j * step) for i in (-1, 0, 1) for j in (-1, 0, 1)}
+        down, across = near[1, 0][0] - near[-1, 0][0], near[0, 1][1] - near[0, -1][1]
+        bent = near[1, 0][2] + near[-1, 0][2] + near[0, 1][3] + near[0, -1][3]
+        bent = bent - 2 * (near[0, 0][2] + near[0, 0][3])
+        mixed = near[1, 1][4] + near[-1, -1][4] - near[1, -1][4] - near[-1, 1][4]
+        return 1 - (down + across) / (2 * step) + (bent / 2 + mixed / 4) / step**2
+
+    table = np.array([[flat(y, x) for x in spaced[1]] for y in spaced[0]])
+    degrees = {key: min(5, len(part) - 1) for key, part in zip(("kx", "ky"), spaced, strict=True)}
+    spline = scipy.interpolate.RectBivariateSpline(*spaced, table, **degrees)
+    return spline(*at) / flat(0.0, 0.0)
 
 
 def _tangent(camera, scene):

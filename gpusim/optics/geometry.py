@@ -1,6 +1,6 @@
 """Source places of pixels: the inverse of a distortion on a coarse grid, and the fall-off toward the corner."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -10,6 +10,7 @@ from gpusim.domain.distortion import Model, ideal
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import View
 from gpusim.domain.sensor import Microlens
+from gpusim.optics.lens import Lens
 
 STEPS = (64, 32, 16, 8, 4, 2, 1)  # [pixel] between nodes, at most
 # error of places and fluxes that is small enough; cells along an axis for it, at most
@@ -19,6 +20,7 @@ PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
 PARTS = 8  # of a frame along an axis; its largest errors are in the worst part
 LEAST_LOBES = 4.5  # of brightest over darkest of 4 x 4 samples: cubics stay above 0 below it (81 / 18 at the middle)
+FIELD_NODES = 25  # along an axis of the field: places whose spreads give the flat field
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
 
@@ -38,6 +40,8 @@ class DistortionGrid:
             `RATIO_TO_REPORT` only area weighting does not alias.
         reach: Source samples beyond the edge of the source frame that the frame sees; 0 if the
             source is large enough.
+        is_even: Whether flat fields stay flat, because a relative illumination that is given
+            says what they look like. Else they are brighter where points crowd.
     """
 
     nodes: np.ndarray
@@ -45,6 +49,7 @@ class DistortionGrid:
     typical: tuple[float, float]
     ratio: tuple[float, float]
     reach: float
+    is_even: bool = False
 
     @property
     def method(self) -> str:
@@ -63,6 +68,16 @@ class DistortionGrid:
         return line + (
             f"; the frame sees {self.reach:.0f} samples beyond the source" if self.reach > 0 else ""
         )
+
+    def even(self, level: float) -> "DistortionGrid":
+        """Return a grid that keeps flat fields flat.
+
+        Args:
+            level: Light of a flat field of 1.
+        """
+        nodes = self.nodes.copy()
+        nodes[..., 2] = level
+        return replace(self, nodes=nodes, is_even=True)
 
 
 def distortion_grid(
@@ -151,6 +166,123 @@ def view_nodes(
     y, x = view.place(y, x, ratio)
     nodes[..., 0], nodes[..., 1] = y + its[0] - edges[0][:, None], x + its[1] - edges[1]
     return nodes
+
+
+def lagrange_weights(count: int, places: np.ndarray) -> np.ndarray:
+    """Return the weight of each of `count` nodes at places, shape (places, count).
+
+    The polynomials equal those in `optics.distort`.
+
+    Args:
+        count: Number of nodes, spread evenly from edge to edge.
+        places: 0 .. 1 from edge to edge, shape (places,).
+    """
+    place = places * (count - 1)
+    first = np.clip(place.astype(int) - 1, 0, count - 4)
+    weights = np.zeros((len(place), count))
+    for a in range(4):
+        weights[np.arange(len(place)), first + a] = np.prod(
+            [(place - first - b) / (a - b) for b in range(4) if b != a], 0
+        )
+    return weights
+
+
+def evening(nodes: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    """Return the gains that make flat fields flat after area weighting, (rows, cols).
+
+    Area weighting gives each pixel the area that it looks at.
+
+    Args:
+        nodes: Of a grid that is even, see `DistortionGrid`, or of its view.
+        shape: Rows and columns of the result.
+    """
+    along_y, along_x = (
+        lagrange_weights(count, np.arange(n + 1) / n)
+        for count, n in zip(nodes.shape[:2], shape, strict=True)
+    )
+    y, x = (along_y @ nodes[..., axis] @ along_x.T for axis in (0, 1))
+    y, x = y + np.arange(shape[0] + 1)[:, None], x + np.arange(shape[1] + 1)
+    # of a quadrilateral, by its diagonals
+    (y0, x0), (y1, x1) = (
+        (at[1:, 1:] - at[:-1, :-1] for at in (y, x)),
+        (at[:-1, 1:] - at[1:, :-1] for at in (y, x)),
+    )
+    return nodes[0, 0, 2] * 2 / np.abs(y0 * x1 - x0 * y1)
+
+
+def flat_of_lens(
+    lens: Lens,
+    wavelengths: np.ndarray,
+    shares: np.ndarray,
+    rows: np.ndarray,
+    cols: np.ndarray,
+    corner: float,
+) -> np.ndarray:
+    """Return the light of a flat field through a lens whose blur varies, relative to the axis.
+
+    A flat field is the sum of its points. Spreads with the centroids c and the second moments M give it 1 - div c +
+    (d2 M_yy / dy2 + d2 M_xx / dx2) / 2 + d2 M_yx / dy dx. Second moments count for lenses whose kernels hold all
+    light: for others see `widening`.
+
+    Args:
+        lens: The lens.
+        wavelengths: [nm], shape (L,).
+        shares: Share of each wavelength in the light of each channel, shape (C, L), sums 1.
+        rows: Rows of places from the axis [sample].
+        cols: Columns of places from the axis [sample].
+        corner: Distance of the frame's corner from its middle [sample]: field height 1.
+
+    Returns:
+        Flat fields, float64, shape (C, rows, cols).
+    """
+    # nodes on either side of the axis, at which they are relative to
+    nodes = []
+    for at in (rows, cols):
+        low, high = min(at.min(), -1.0), max(at.max(), 1.0)
+        nodes.append(np.linspace(low, high, min(FIELD_NODES, max(int(high - low), 5))))
+    moments = np.empty((*map(len, nodes), len(shares), 5))
+    for i, y in enumerate(nodes[0]):
+        for j, x in enumerate(nodes[1]):
+            place = (y / corner, x / corner)
+            if lens.tail is not None:
+                moments[i, j, :, :2] = shares @ lens.centroids(wavelengths, place)
+                moments[i, j, :, 2:] = 0
+            else:
+                kernels = lens.kernels(wavelengths, place, lens.least_size | 1)
+                moments[i, j] = np.tensordot(shares, kernel_moments(kernels), 1)
+    orders = (1, 0, -1.0), (0, 1, -1.0), (2, 0, 0.5), (0, 2, 0.5), (1, 1, 1.0)
+    flats = []
+    for channel in range(len(shares)):
+        flat, axis = np.ones((len(rows), len(cols))), 1.0
+        for number, (down, across, sign) in enumerate(orders):
+            if not moments[:, :, channel, number].any():
+                continue
+            spline = scipy.interpolate.RectBivariateSpline(
+                *nodes, moments[:, :, channel, number], kx=4, ky=4
+            )
+            flat += sign * spline(rows, cols, dx=down, dy=across)
+            axis += sign * spline(0, 0, dx=down, dy=across).item()
+        flats.append(flat / axis)
+    return np.array(flats)
+
+
+def kernel_moments(kernels: np.ndarray) -> np.ndarray:
+    """Return first and second moments (y, x, y y, x x, y x) of kernels (n, m, m) [sample], shape (n, 5)."""
+    at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2.0
+    y, x = np.meshgrid(at, at, indexing="ij")
+    return np.tensordot(kernels, np.stack([y, x, y**2, x**2, y * x]), ((1, 2), (1, 2)))
+
+
+def widening(lens: Lens, wavelengths: np.ndarray, corner: float) -> float:
+    """Return a bound on the part of a flat field that comes from spreads that widen with the field height.
+
+    Spreads of half the radius R of the rays [root mean square, both axes together] that grow as R h^2 (field
+    curvature and astigmatism) give R^2 h^2 / corner^2, see `flat_of_lens`.
+    """
+    if lens.tail is None:
+        return 0.0  # the flat holds it
+    grown = lens.spread(wavelengths, 1.0) ** 2 - lens.spread(wavelengths) ** 2
+    return max(grown, 0.0) / corner**2
 
 
 def interpolation_error(

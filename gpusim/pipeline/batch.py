@@ -11,6 +11,7 @@ from gpusim.domain.errors import BadData, DoesNotFit, checked_count
 from gpusim.domain.memory import is_array
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
+from gpusim.optics.labels import carry_labels
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.loop import Capture, Loop, SharedOptics, checked_output
 from gpusim.pipeline.planning import plan_inputs
@@ -61,6 +62,12 @@ class Batch:
         self._items: list[Loop | None] = [None] * self.count
         self._planned_for, self._plan = None if plan is not None else planned_for, plan
         self.plans: list[Plan] = []
+        self._seen: list = []
+
+    @property
+    def labels(self) -> list[dict[str, np.ndarray]]:
+        """Labels and depth of each scene of the last call, see `gpusim.carry_labels`."""
+        return [carry_labels(scene, camera) for scene, camera in self._seen]
 
     def __repr__(self):
         return shorten_repr(f"Batch({self.count} of {self.output}, {self._simulator!r})")
@@ -155,7 +162,7 @@ class Batch:
                 f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
                 "frames have one shape"
             )
-        self.plans = plans
+        self.plans, self._seen = plans, [(scene, camera) for scene, camera, *_ in rows]
         return self._cache("frames", stack_frames, *frames, device=device)
 
     def judge(self) -> None:

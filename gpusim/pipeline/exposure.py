@@ -20,6 +20,7 @@ from gpusim.domain.sensor import Sensor
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.kernels.processor.color import color
 from gpusim.kernels.sensor.noise import check_drawn
+from gpusim.optics.labels import carry_labels
 from gpusim.pipeline.developer import Developer, rendering_name
 from gpusim.pipeline.frame import Frame, Parts
 from gpusim.pipeline.imaging import return_none
@@ -197,6 +198,11 @@ class Exposure:
     def device(self) -> Device:
         """Device of the arrays."""
         return self.simulator.device
+
+    @cached_property
+    def labels(self) -> dict[str, np.ndarray]:
+        """Labels and depth of the scene at the pixels, see `gpusim.carry_labels`."""
+        return carry_labels(self.plan.scene, self.plan.camera)
 
     def split_layers(self, raw: Any) -> Any:
         """Return raw values with the layers of stacked pixels on an axis.
@@ -434,6 +440,7 @@ def make_frame(
         linear=shot,
         rgb=shot,
         report=shot,
+        labels=shot,
         blur=exposure.blur,
         shading=None if exposure.shading is None else np.array(exposure.shading),
         averaged=exposure.simulator.readout.averaged,
@@ -461,6 +468,8 @@ class _Shot(Parts):
 
     def compute(self, name, frame):
         """Return a part of the frame. Its times are added."""
+        if name == "labels":
+            return self.exposure.labels
         if name == "report":
             frame.rendering, frame.mean, frame.raw, frame.linear, frame.rgb  # noqa: B018  for their times
             return self._report(frame.rendering)

@@ -62,6 +62,7 @@ class Frame(Pictured):
             Display white is 1, see `Processor.scaling`.
         rgb: Display codes, uint8 (rows, cols, 3).
         report: Times, models and errors of the frame.
+        labels: Labels and depth of the scene at the pixels, see `gpusim.carry_labels`; {} without any.
         blur: Standard deviation of the lens blur as a Gaussian, if the camera uses it [pixel].
         shading: Gains of the shading correction at its nodes, if the camera uses them.
         averaged: Number of digital numbers that are averaged to one raw value; None for several merged exposures,
@@ -76,6 +77,7 @@ class Frame(Pictured):
     linear: _Made[np.ndarray] = _Made()
     rgb: _Made[np.ndarray] = _Made()
     report: _Made[Report] = _Made()
+    labels: _Made[dict[str, np.ndarray]] = _Made()
     blur: float = 0.0
     shading: np.ndarray | None = None
     averaged: int | None = 1
@@ -96,16 +98,18 @@ class Frame(Pictured):
         )
 
     def complete(self) -> "Frame":
-        """Compute all parts. The frame then holds no device arrays.
+        """Compute all parts but the labels. These then hold no device arrays.
 
         Returns:
             This frame.
         """
         for part in dataclasses.fields(self):
-            getattr(self, part.name)
+            if part.name != "labels":
+                getattr(self, part.name)
         return self
 
     def __getstate__(self):
+        self.labels  # noqa: B018  a pickle holds them, too
         return dict(vars(self.complete()))
 
     def codes(self, bits: int = 8) -> np.ndarray:

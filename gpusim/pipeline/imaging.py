@@ -29,7 +29,7 @@ from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan, flatten
 from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
-from gpusim.optics.geometry import DistortionGrid, view_nodes
+from gpusim.optics.geometry import DistortionGrid, evening, view_nodes
 from gpusim.optics.highlights import Highlights, point_kernels
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.lens import lens_of
@@ -101,11 +101,15 @@ class Imaging:
         view, grid = plan.scene.view, plan.find(DistortionGrid)
         nodes = place_samples(view, **_placing_constants(plan), device=self.device)
         by_area = grid is not None and grid.method == "area"
+        gains = None
+        if by_area and grid.is_even:
+            gains = even_samples(view, **_placing_constants(plan), device=self.device)
         return place_planes(
             light,
             nodes,
             None if by_area else plan.weights,
             view.zoom if by_area else 1.0,
+            gains,
             seen=_visible_shape(plan),
             border=_border(plan),
             by_area=by_area,
@@ -129,6 +133,9 @@ class _Steps:
         self.table = None if planes is None else planes.table
         self.transfers = None if fusion is None else fusion.transfers
         self.gains = None if falloff is None else falloff.gains
+        self.flat_of_blur = None if falloff is None else falloff.field
+        # pixels around the frame that the distortion's grid covers
+        self.grid_margin = plan.scene.margin / plan.scene.samples_per_pixel if self.blur else 0.0
         self.folded = self.blur is not None and self.blur.folded
         self.count = len(plan.content.entry_spectra if self.table is None else self.table)
 
@@ -199,6 +206,11 @@ class _Steps:
                     run=zoom_of if by_area else no_zoom,
                 ),
             ]
+            gains = ()
+            if by_area and self.grid.is_even:
+                gains = (f"{prefix}evening",)
+                constants = {**_placing_constants(plan), "device": self.device}
+                steps.append(Step(*gains, "", ("view",), constants, run=even_samples))
             # the channels' light, without and with their surroundings
             light = 1 if self.blur is None else 2
             if not by_depth:
@@ -208,6 +220,7 @@ class _Steps:
                     f"{prefix}places",
                     f"{prefix}lights",
                     f"{prefix}zoom",
+                    *gains,
                     run=place_planes,
                     words=self.words("optics.distort"),
                     # and two maps
@@ -497,6 +510,8 @@ class _Steps:
                     "slope": plan.slope,
                     "falloff": self.gains,
                     "nodes": None if self.grid is None else self.grid.nodes,
+                    "margin": self.grid_margin,
+                    "field": self.flat_of_blur,
                     "binning": sensor.binning,
                     "stride": stride,
                     "by_charge": sensor.binning_mode == "charge",
@@ -714,8 +729,22 @@ def mix_lights(*, weights, table, spectra) -> np.ndarray:
     return light if table is None else np.linalg.lstsq(table.T, light.T, rcond=None)[0].T
 
 
-def place_planes(planes_, places, lights, zoom, *, seen, border, by_area, device) -> Any:
-    """Return planes distorted by the lens and the view. lights: see `mix_lights`, or None for channels."""
+def even_samples(view: View, *, grid, seen, shape, ratio, device) -> Any:
+    """Return the gains (1, rows, cols) that keep flat fields flat after `place_planes` by area."""
+    return device.array(evening(view_nodes(view, grid, seen, shape, ratio), seen)[None])
+
+
+def place_planes(
+    planes_, places, lights, zoom, gains=None, *, seen, border, by_area, device
+) -> Any:
+    """Return planes distorted by the lens and the view.
+
+    lights: see `mix_lights`, or None for channels. gains: see `even_samples`.
+    """
+    if by_area and gains is not None:
+        return falloff(
+            distort(planes_, places, seen, border, "area", 1.0, device=device), gains, device=device
+        )
     if by_area:
         return distort(planes_, places, seen, border, "area", zoom**2, device=device)
     light = planes_
@@ -943,10 +972,10 @@ def return_none() -> None:
 
 
 def make_shading(
-    *, shape, slope, falloff, nodes, binning, stride, by_charge, period, device
+    *, shape, slope, falloff, nodes, margin, field, binning, stride, by_charge, period, device
 ) -> np.ndarray:
     """Return the gains of the shading correction for each pixel of the mosaic's period, see `processor.shade`."""
-    response = relative_response(shape, slope, falloff, nodes)
+    response = relative_response(shape, slope, falloff, nodes, margin, field)
     if binning == (1, 1):
         return shading_gains(response, period[0] * period[1])
     flat = device.array(response)

@@ -67,10 +67,14 @@ class Falloff:
     """Fall-off of every pixel beyond the cos^4 law of a grid of pixels in the middle.
 
     Attributes:
-        gains: Relative response, shape (rows, cols).
+        gains: Relative response, shape (rows, cols). With a relative illumination that is given,
+            gains times the flat field of the lens's points is that curve.
+        field: Flat field of a blur that varies, the part of the lens's points that the gains have
+            taken out, shape (rows, cols); None if they have not.
     """
 
     gains: np.ndarray
+    field: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

@@ -177,10 +177,10 @@ def _geometry(plan, made, question, probes, notes):
             "distortion left out",
         )
     pixels.describe_calibration(question, notes)
-    gains, _ = pixels.falloff_of(question, None, own)
+    falloff, _ = pixels.falloff_of(question, None, own)
     notes.left_out += own.left_out
-    if gains is not None and plan.find(Falloff) is None and probes is not None:
-        most = float(np.abs(gains - 1).max())
+    if falloff is not None and plan.find(Falloff) is None and probes is not None:
+        most = float(np.abs(falloff.gains - 1).max())
         notes.leave_out(
             f"fall-off of up to {most:.2g}", probes.even_error(most), "fall-off left out"
         )

@@ -195,7 +195,7 @@ class Plan:
             self.find(Tiling),
             far and far.border,
             self.find(Highlights),
-            grid and grid.method,
+            grid and (grid.method, grid.is_even),
             varying and (varying.method, varying.index),
             depth and (depth.layers, depth.layer),
         )
@@ -401,7 +401,7 @@ def plan(
     picture.describe(notes)
     distortion = pixels.choose_distortion(question, placed, probes, notes)
     pixels.describe_calibration(question, notes)
-    gains, slope = pixels.falloff_of(question, probes, notes)
+    falloff, slope = pixels.falloff_of(question, probes, notes)
     around = seen.around
     if around:
         around.describe(question, notes)
@@ -416,7 +416,7 @@ def plan(
         by_depth,
         distortion,
         taps and Sampling(*taps),
-        None if gains is None else Falloff(gains),
+        falloff,
         tolerance and Goal(tolerance, seen.remedy),
     )
     return Plan(

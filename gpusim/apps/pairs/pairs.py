@@ -14,6 +14,7 @@ from gpusim.captures.capture import Capture, Light
 from gpusim.color.speed import gain_for_speed
 from gpusim.domain.camera import Camera
 from gpusim.domain.scene import Scene
+from gpusim.io.frame.frames import named_labels
 from gpusim.io.frame.images import png_bytes
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
@@ -74,7 +75,7 @@ class Pairs:
         return number, self._opened(self._photographs[number // self._each], values), values
 
     def pair(self, number: int) -> dict:
-        """Return raw values, clean values, codes (with pictures), and a record of the settings."""
+        """Return raw values, clean values, codes (with pictures), a record of the settings, and labels."""
         return self._pair(*self._read(number))
 
     def _files(self, number, scene, values):
@@ -85,6 +86,7 @@ class Pairs:
             if shown.ndim == 4:  # the frames of a capture, one below the other
                 shown = shown.reshape(-1, *shown.shape[2:])
             files["rgb.png"] = png_bytes(shown, self._simulator.camera.display)
+        files |= {f"{name}.npy": npy(label) for name, label in named_labels(pair["labels"]).items()}
         return files | {"json": (json.dumps(pair["record"], sort_keys=True) + "\n").encode()}
 
     def _pair(self, number, scene, values):
@@ -101,7 +103,8 @@ class Pairs:
         if self._pictures:
             codes = loop.codes(seed=self._seed, first=number)
             pair["rgb"] = np.array(simulator.device.numpy(codes))
-        return pair | {"record": self._record(number, values, exposure, sensor, account)}
+        record = self._record(number, values, exposure, sensor, account)
+        return pair | {"record": record, "labels": exposure.labels}
 
     def _capture_pair(self, number, scene, values, gain):
         """Return the pair of a capture."""
@@ -129,12 +132,13 @@ class Pairs:
         record = self._record(number, values, exposure, frames[0].camera.sensor, account)
         times = [frame.exposure_time for frame in frames]
         return pair | {
+            "labels": exposure.labels,
             "record": record
             | {
                 "frame": first,
                 "exposure_time_s": times[0] if is_one else times,
                 "capture": str(capture),
-            }
+            },
         }
 
     def _record(self, number, values, exposure, sensor, account):

@@ -14,6 +14,7 @@ from gpusim.io.frame.images import write_png, write_tiff
 
 # the first is the default
 BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".exr": (32, 16)}
+LABEL = "label_"  # begins the keys of labels in archives
 FORMATS = (*BITS, ".dng", ".npz")
 
 
@@ -53,7 +54,8 @@ def write_frame(path, frame, bits=None):
     - .dng: digital numbers with the tags for raw converters, see `_write_raw`.
     - .npz: `electrons` (mean, float32 [e-]), `dn` (uint16, or float32 without a converter [DN]),
       both (rows, cols) or, of stacked pixels, (C, rows, cols), `exposure_time_s`, `black_level`,
-      `white_level`, `gain_dn_per_e`, `cfa`, `channels`.
+      `white_level`, `gain_dn_per_e`, `cfa`, `channels`; `depth_m` and `label_NAME` of a scene that
+      has them, see `gpusim.carry_labels`.
 
     bits: bits of a sample, not used for .dng and .npz; None is the first of BITS. Raises
     UnknownName, BadFile, and OutOfRange if the format cannot hold the frame.
@@ -80,7 +82,14 @@ def write_frame(path, frame, bits=None):
             "white_level": sensor.white_level,
             "gain_dn_per_e": sensor.gain_dn_per_electron,
         }
-        write_archive(path, arrays)
+        write_archive(path, arrays | named_labels(frame.labels))
+
+
+def named_labels(labels: dict) -> dict:
+    """Return labels of `gpusim.carry_labels` by their keys in files: depth_m, label_NAME."""
+    return {
+        "depth_m" if name == "depth" else f"{LABEL}{name}": label for name, label in labels.items()
+    }
 
 
 def _write_raw(path, frame):

@@ -12,6 +12,7 @@ gpusim's own keys, all arrays band-major:
                                reflectance; without these two it is radiance, in the same unit
     kind                       "reflectance" of `cube` with an unknown light; else "radiance"
     border, margin, fov_rad, depth_m, name, samples_per_pixel  as in Scene
+    label_NAME                 labels of Scene, for example label_instance, label_flow, label_boxes
 
 Also read are archives made from ISETCam's scenes, whose arrays are pixel-major: `photons` (rows,
 cols, L), or `coef` (rows, cols, K) with `basis` (K, L); `wave` (L,); `illuminant_photons` (L,) if
@@ -32,6 +33,8 @@ from gpusim.io.archive import NUMBERS, TEXT, open_archive, write_archive
 from gpusim.io.files import name_in_errors
 
 COPIES = 1.0  # of the numbers: as float32, and divided by the light
+LABEL = "label_"  # begins the keys of labels
+LABEL_NUMBERS = "buif"  # NumPy's letters for kinds of types
 # keys that determine the form of an archive
 FORMS = ("cube", "coefficients", "ids", "photons", "coef")
 
@@ -57,6 +60,7 @@ def write_npz(path, scene: Scene):
         arrays["fov_rad"] = scene.fov
     if scene.depth is not None:
         arrays["depth_m"] = scene.depth
+    arrays |= {f"{LABEL}{name}": label for name, label in scene.labels.items()}
     write_archive(path, arrays)
 
 
@@ -147,7 +151,17 @@ class _Archive:
             depth=depth,
             name=self.single("name", self.path.stem),
             samples_per_pixel=self.single("samples_per_pixel", 1.0),
+            labels={
+                key.removeprefix(LABEL): self.label(key)
+                for key in sorted(self.stored)
+                if key.startswith(LABEL)
+            },
         )
+
+    def label(self, key):
+        """Return a label, in the type of the file."""
+        self.stored.shape(key, LABEL_NUMBERS)
+        return self.stored[key]
 
     def content(self, form, wavelengths):
         """Return the pixels, still in the unit of the file."""

@@ -10,17 +10,20 @@ import numpy as np
 
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, Tolerance, total
 from gpusim.domain.calibration import Calibration, Framed
-from gpusim.domain.distortion import ideal
+from gpusim.domain.distortion import Model, ideal
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.geometry import (
     DistortionGrid,
     distortion_grid,
+    flat_of_lens,
     microlens_gain,
     place_phases,
     relative_illumination,
     vignetting_gain,
+    widening,
 )
+from gpusim.optics.lens import wavelength_nodes
 from gpusim.optics.sampling import (
     AREA,
     NODES,
@@ -31,10 +34,12 @@ from gpusim.optics.sampling import (
     pixel_taps,
     sampling_error,
 )
+from gpusim.planner.choices import Falloff
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import DECLARED, Notes, Question, displacement_suffix
 
 NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
+FIELD_WAVELENGTHS = 5  # that stand for all in the flat field of a blur that varies
 LEAST_LOSS = 1e-5  # a fall-off below it may be left out
 FAR = 10.0  # times below the tolerance: patterns that are left out
 # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
@@ -181,7 +186,17 @@ def choose_distortion(
             return None
     seen_by = notes.models.get("optics.distort")
     notes.models["optics.distort"] = f"{f'{seen_by}; ' if seen_by else ''}distortion: {made.report}"
-    return made
+    if isinstance(question.optics.relative_illumination, str):
+        return made
+    notes.models["optics.distort"] += "; flat fields as the relative illumination says"
+    return made.even(flat_on_axis(question.distortion))
+
+
+def flat_on_axis(distortion: Model) -> float:
+    """Return the light of a flat field where the optical axis meets the image."""
+    at = distortion.middle if isinstance(distortion, Framed) else (0.0, 0.0)
+    a, b, c, d = distortion.derivative(*map(np.float64, at))
+    return float(1 / (a * d - b * c))
 
 
 def describe_calibration(question: Question, notes: Notes):
@@ -204,28 +219,33 @@ def describe_calibration(question: Question, notes: Notes):
 
 def falloff_of(
     question: Question, probes: Probes | None, notes: Notes
-) -> tuple[np.ndarray | None, float]:
+) -> tuple[Falloff | None, float]:
     """Return the fall-off of every pixel, and the tangent of the field angle per pixel for the cos^4 law.
 
-    The first is None if the law is enough, the second 0 if the law is not used. probes: of the
-    scene, with a tolerance. Raises BadData, OutOfRange.
+    The first is None if the law is enough, the second 0 if the law is not used. A relative
+    illumination that is given is the flat field: a blur that crowds or thins out points is taken out
+    of it. probes: of the scene, with a tolerance. Raises BadData, OutOfRange.
     """
     optics, sensor, scene = question.optics, question.sensor, question.scene
     shape, displacement = scene.shape, sensor.displacement
     (down, across), (y, x) = displacement, question.axis
     from_axis = down - y, across - x  # of the grid of pixels
     parts: dict[str, np.ndarray] = {}
-    slope = 0.0
+    slope, field = 0.0, None
     if optics.relative_illumination == "none":
         notes.leave_out('relative illumination: set to "none"', DECLARED)
     elif optics.relative_illumination != "cos4":
-        parts["relative illumination as given"] = relative_illumination(
+        curve = relative_illumination(
             optics.relative_illumination,
             shape,
             sensor.pixel_pitch,
             optics.image_distance,
             displacement=from_axis,
         )
+        if not question.lens.is_uniform:
+            field = _flat_of_blur(question, from_axis, notes)
+            curve = curve / field
+        parts["relative illumination as given"] = curve
     else:
         if scene.fov:
             slope = 2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1]
@@ -259,7 +279,33 @@ def falloff_of(
     if sensor.stacked:
         layout = f"stacked {', '.join(sensor.channels)}"
     notes.models["sensor.collect"] = f"{'cos^4, ' if slope else ''}{layout}"
-    return gains, float(slope)
+    return None if gains is None else Falloff(gains, field), float(slope)
+
+
+def _flat_of_blur(question, from_axis, notes):
+    """Flat field of a blur that varies, at every pixel, relative to the axis, (rows, cols)."""
+    ratio, wavelengths = question.ratio, question.content.wavelengths
+    rows, cols = (
+        ratio * (np.arange(n) - (n - 1) / 2 + move)
+        for n, move in zip(question.scene.shape, from_axis, strict=True)
+    )
+    nodes, between = wavelength_nodes(wavelengths, FIELD_WAVELENGTHS)
+    weights = np.vstack([question.light, question.weights])
+    shares = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300) @ between
+    every, *each = question.cache(
+        "flat field of the blur",
+        flat_of_lens,
+        question.lens,
+        nodes,
+        shares,
+        rows,
+        cols,
+        question.corner,
+    )
+    apart = max(float(np.sqrt(np.mean((one / every - 1) ** 2))) for one in each)
+    wider = question.cache("widening", widening, question.lens, nodes, question.corner)
+    notes.bounds["flat field of the blur"] = Bound(float(np.hypot(apart, wider)))
+    return every
 
 
 def _tangent(question, slope):
