@@ -32,7 +32,7 @@ from gpusim.optics.psf import steepest_slope
 MARGIN = 0.5  # [pixel] and
 MORE = 12  # samples around a kernel that its pixels share
 ORDER = 12  # samples of the polynomial next to the end of a row
-ERROR = 4e-4  # of transfer functions, by light along a polygon's normals beyond the window
+ERROR = 1e-3  # of transfer functions, by light along a polygon's normals beyond the window
 REACH, NEAR = 2.5, 12.0  # window over the steepest slope of the wavefront, and beyond it [X]
 FLAT = 0.75  # part of the window up to which differences count in full
 STEP = 0.25  # of the samples of the irradiance, in X
