@@ -20,7 +20,9 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.optics import farfield
 from gpusim.optics.otf import transfer
-from gpusim.optics.psf import mean_slopes, psf_tables, pupil_kernel, spread_at, steepest_slope
+from gpusim.optics.psf import mean_slopes, psf_tables, spread_at, steepest_slope
+from gpusim.optics.rays import is_too_costly
+from gpusim.optics.sampled import differences, sampled_kernel, window, wrap
 
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
@@ -74,6 +76,9 @@ class Stages(Protocol):
 
     def given(self, tables: np.ndarray) -> Any:
         """Return tables that are already computed."""
+
+    def add(self, tables, spectra: np.ndarray) -> Any:
+        """Return the sum of tables and of half spectra, complex (bands, rows, cols // 2 + 1)."""
 
 
 class Lens(Protocol):
@@ -332,19 +337,33 @@ class PupilLens(_OnGrid):
         """See `Lens`."""
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
-        optics, (down, across) = self.optics, self.optics.birefringence
+        optics, spots = self.optics, self._spots
         waves = optics.waves(self.nanometres(q), distance=distance)
-        return stages.pupil(
+        soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
+        if not is_too_costly(optics.pupil, waves):
+            return stages.pupil(
+                optics.pupil, waves, q, *settings, spots, soft, self.displacement
+            )
+        flat = np.zeros((len(q), 1, 1))
+        focus = stages.pupil(optics.pupil, flat, q, *settings, spots, soft, self.displacement)
+        half, _ = window(optics.pupil, waves)
+        kernels = differences(
             optics.pupil,
             waves,
             q,
+            half,
             self.aperture,
-            rows,
-            cols,
-            spots=(down / self.pitch, across / self.pitch),
-            diffuser=optics.diffuser / self.pitch,
-            displacement=self.displacement,
+            tuple(np.divide(spots, 2)),
+            soft,
+            tuple(-np.array(self.displacement)),
         )
+        return stages.add(focus, wrap(kernels, rows, cols))
+
+    @property
+    def _spots(self):
+        """Distances of a low-pass filter's images, (rows, cols) [sample]."""
+        down, across = self.optics.birefringence
+        return down / self.pitch, across / self.pitch
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
@@ -374,17 +393,15 @@ class PupilLens(_OnGrid):
         optics, q = self.optics, self._q(wavelengths)
         waves = optics.waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
-        out = np.empty((len(q), size, size))
-        down, across = optics.birefringence
-        spots = down / self.pitch / 2, across / self.pitch / 2
-        for kernel, one_q, wave, shift in zip(out, q, waves, shifts, strict=True):
-            kernel[:] = pupil_kernel(optics.pupil, wave, one_q, shift, size, self.aperture, spots)
-            if optics.diffuser:
-                spectrum = scipy.ndimage.fourier_gaussian(
-                    np.fft.fft2(kernel), optics.diffuser / self.pitch
-                )
-                kernel[:] = np.fft.ifft2(spectrum).real
-        return out
+        spots, soft = np.divide(self._spots, 2), optics.diffuser / self.pitch
+        settings = size, self.aperture, spots, soft
+        return np.array(
+            [
+                sampled_kernel(optics.pupil, wave, one, shift, *settings)
+                for wave, one, shift in zip(waves, q, shifts, strict=True)
+            ],
+            np.float64,
+        )
 
     def _colour_shifts(self, wavelengths, place):
         """Displacement of a point's image by lateral colour, (L, 2) [sample]."""

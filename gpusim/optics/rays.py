@@ -13,10 +13,19 @@ import numpy as np
 
 from gpusim.domain.memory import require_memory
 from gpusim.domain.pupil import Pupil, symmetric
-from gpusim.optics.otf import FAST, transfer
-from gpusim.optics.series import expansion, peak_to_valley, require_points, scales
+from gpusim.optics.otf import FAST, defocus_only, transfer
+from gpusim.optics.series import (
+    expansion,
+    peak_to_valley,
+    points_at,
+    points_of_series,
+    require_points,
+    scales,
+)
 
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
+# points of integrals, half a second to a second of two cores: beyond it pupils are sampled (gpusim.optics.sampled)
+AFFORDABLE = 1.5e7
 POLYGON_ERROR = 3e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
 
 
@@ -38,6 +47,31 @@ def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
         if rest <= error:
             return to_bands @ table
         length = _finer(length, rest, error)
+
+
+def is_too_costly(outline: Pupil, waves) -> bool:
+    """Return True if the integrals of a table are foreseen to take more than AFFORDABLE points."""
+    if defocus_only(outline, waves) or not waves.any():
+        return False
+    return foresee_points(outline, waves) > AFFORDABLE
+
+
+@lru_cache(maxsize=64)
+def _foreseen(outline, values, shape):
+    waves = np.frombuffer(values).reshape(shape)
+    range_, scaled, _ = scales(waves)
+    if not outline.cutoff[0]:
+        return points_of_series(outline, scaled)
+    sectors = 2 * outline.sides.size
+    own = 2 if symmetric(Pupil(), scaled) else sectors
+    rays = own * max(8, ceil(48 * (1 + range_ / 2) / sectors))
+    return points_at(outline, scaled, rays * (192 + ceil(48 * range_)))
+
+
+def foresee_points(outline: Pupil, waves) -> float:
+    """Return the points that the integrals of a table take at least."""
+    waves = np.ascontiguousarray(waves, np.float64)
+    return _foreseen(outline, waves.tobytes(), waves.shape)
 
 
 def polar_table(outline: Pupil, waves, error=None):

@@ -89,6 +89,22 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
         rays += 1 + rays // 4 if angular_rest >= error else 0
 
 
+def points_of_series(pupil: Pupil, waves) -> float:
+    """Return the points that `expansion` is foreseen to take."""
+    edges = np.unique(np.clip([0, 1, *_kinks(pupil)], 0, 1))
+    count, rays, repeats, nodes = _foresee(pupil, _strongest(waves), edges, True)
+    return len(waves) * count * (len(edges) - 1) * rays / repeats * nodes
+
+
+def points_at(pupil: Pupil, waves, frequencies) -> float:
+    """Return the points that fast integrals at so many frequencies, out to the cut-off, are foreseen to take."""
+    return (
+        len(waves)
+        * frequencies
+        * _foresee(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]
+    )
+
+
 def require_points(pupil: Pupil, waves, frequencies):
     """Raises OutOfRange where fast integrals at so many frequencies, out to the cut-off, take too many points."""
     nodes = _foresee(pupil, _strongest(waves), np.array([0.0, 1.0]), True)[-1]

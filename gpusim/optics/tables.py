@@ -69,6 +69,18 @@ class _OnHost:
         """See `Stages`."""
         return tables
 
+    def add(self, tables, spectra):
+        """See `Stages`."""
+        return add_spectra(tables, spectra)
+
+
+def add_spectra(tables, spectra) -> np.ndarray:
+    """Return the sum of tables, quarters or halves, and of half spectra, complex (bands, rows, cols // 2 + 1)."""
+    rows = tables.shape[1]
+    if rows < spectra.shape[1] or rows == spectra.shape[1] == 1:  # real quarters
+        return tables + spectra[:, :rows].real
+    return tables + np.ascontiguousarray(spectra).view(np.float32)
+
 
 class Caching(Protocol):
     """Stores results of functions for the next plan, such as `gpusim.pipeline.cache.Cache`."""

@@ -15,7 +15,7 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import open_lens, wavelength_nodes
-from gpusim.optics.tables import exact_tables, transfer_tables
+from gpusim.optics.tables import add_spectra, exact_tables, transfer_tables
 from gpusim.planner.choices import Blur, Fusion
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
@@ -54,6 +54,10 @@ class _OnDevice:
     def given(self, tables):
         """See `Stages`."""
         return tables if self._device.kind == "numpy" else self._device.array(tables)
+
+    def add(self, tables, spectra):
+        """See `Stages`."""
+        return self.given(add_spectra(self._device.numpy(tables), spectra))
 
 
 class LensTables:

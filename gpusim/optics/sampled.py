@@ -1,0 +1,335 @@
+"""Point spreads by Fourier transforms of a sampled pupil.
+
+Lengths in the image are X = x / (2 lambda N), cycles of the pupil's phase per radius. The amplitude
+
+    A(X, Y) = integral over the pupil of  exp(2 pi i (W(u, v) - X u - Y v)) du dv
+
+is a sum over rows of the pupil, at Gauss nodes v between the kinks of its outline. Along a row the samples are even,
+so that one transform serves all X. Samples next to the row's ends have the weights that integrate the polynomial
+through the nearest ORDER of them up to the true end: the edge costs no accuracy. The irradiance |A|^2 has no
+frequencies beyond the cut-off, so samples 1/4 apart (lambda N / 2) determine it. A pixel's share of each sample is the
+transform of its aperture up to the cut-off, which separates into rows and columns.
+
+Kernels end. Beyond them light falls as r^-3 along all directions of the pupil's edge, for every wavefront. `tables`
+takes it from the pupil in focus, whose transfer function is exact: it adds only the difference of the kernels, which
+falls as r^-5.
+"""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
+from itertools import pairwise, product
+
+import numpy as np
+import scipy.fft
+from numpy.polynomial.polynomial import polygrid2d, polyint
+from scipy.special import roots_legendre
+
+from gpusim.domain.pupil import Pupil
+from gpusim.optics.farfield import edge_tail
+from gpusim.optics.psf import steepest_slope
+
+MARGIN = 0.5  # [pixel] and
+MORE = 12  # samples around a kernel that its pixels share
+ORDER = 12  # samples of the polynomial next to the end of a row
+ERROR = 1e-3  # of transfer functions, by light along a polygon's normals beyond the window
+REACH, NEAR = 2.5, 12.0  # window over the steepest slope of the wavefront, and beyond it [X]
+FLAT = 0.75  # part of the window up to which differences count in full
+STEP = 0.25  # of the samples of the irradiance, in X
+FINE = 4.5  # samples of a row in a cycle of the fastest phase
+NODES = 4  # of the Gauss nodes of half a panel where nothing turns
+PER_CYCLE = 2.0  # of them for every cycle of the phase from one end of the panel to the other
+
+
+@lru_cache(maxsize=1)
+def _cumulative():
+    """Integral of the local Lagrange kernel of ORDER points, as polynomials of the place in each unit cell.
+
+    The kernel is that of the interpolant through the nearest ORDER samples: on the cell [m, m + 1) from a sample, the
+    Lagrange polynomial of that sample among ORDER / 2 on each side.
+    """
+    half = ORDER // 2
+    cells = np.empty((ORDER, ORDER + 1))
+    before = 0.0
+    for cell in range(-half, half):  # t = place - cell, 0 .. 1
+        # the nodes, seen from the cell's start: -half + 1 .. half; the sample itself is at -cell
+        nodes = np.arange(-half + 1, half + 1)
+        others = nodes[nodes != -cell]
+        polynomial = np.array([1.0])
+        for node in others:
+            polynomial = np.convolve(polynomial, np.array([-node, 1.0])) / (-cell - node)
+        integral = polyint(polynomial)
+        integral[0] = before
+        cells[cell + half] = integral
+        before = integral.sum()
+    return cells
+
+
+def _share(distance):
+    """Integral of the local kernel up to `distance` from its sample [steps]."""
+    half, cells = ORDER // 2, _cumulative()
+    cell = np.clip(np.floor(distance).astype(int), -half, half - 1)
+    t = np.clip(distance - cell, 0, 1)
+    value = np.zeros_like(t)
+    for k in reversed(range(ORDER + 1)):
+        value = value * t + cells[cell + half, k]
+    return value
+
+
+@lru_cache(maxsize=64)
+def rows_of(pupil: Pupil, cycles: float, count: int):
+    """Rows of a pupil: places v (R,), and the weights of `count` even samples u of each row (R, count), float32.
+
+    cycles: of the fastest phase per radius.
+    """
+    hole, straight = pupil.obscuration, pupil.sides.size > 0
+    kinks = np.array([-hole, hole] if hole else [])
+    kinks = np.concatenate([kinks, np.sin(pupil.corners) if straight else (-1.0, 1.0)])
+    kinks = np.unique(np.round(kinks, 12))
+    ends = kinks if straight else np.arcsin(np.clip(kinks, -1, 1))
+    v, mass = [], []
+    for low, high in pairwise(ends):
+        # how far the ends of rows move over the panel, along and across
+        moved = high - low
+        if straight:
+            edges = np.array(_chord(pupil, np.array([low, high])))
+            moved += np.abs(np.diff(edges)).max()
+        half = NODES + int(np.ceil((0.75 if hole else 0.5) * PER_CYCLE * cycles * moved))
+        x, gauss = roots_legendre(2 * half)  # none of them in the middle
+        slope = np.ones_like(x)
+        if hole:  # roots at a panel's ends become smooth
+            x, slope = (3 * x - x**3) / 2, 1.5 * (1 - x * x)
+        at, weight = low + (high - low) * (x + 1) / 2, gauss * slope * (high - low) / 2
+        v.append(at if straight else np.sin(at))
+        mass.append(weight if straight else weight * np.cos(at))
+    v, mass = np.concatenate(v), np.concatenate(mass)
+    step, u = _places(count)
+    weights = _between(*_chord(pupil, v), u, step)
+    if hole:
+        reach = np.sqrt(np.maximum(hole**2 - v * v, 0))
+        weights -= _between(-reach, reach, u, step)
+    return v, (weights * (mass * step)[:, None]).astype(np.float32)
+
+
+def _chord(pupil, v):
+    """First and last u of the pupil's rows."""
+    if not pupil.sides.size:
+        reach = np.sqrt(np.maximum(1 - v * v, 0))
+        return -reach, reach
+    nx, ny = np.cos(pupil.sides), np.sin(pupil.sides)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = (pupil.inner_radius - ny * v[:, None]) / nx
+    left = np.where(nx < -1e-12, cut, -np.inf).max(axis=1)
+    return left, np.where(nx > 1e-12, cut, np.inf).min(axis=1)
+
+
+def _places(count):
+    """Step and places of the even samples of a row; some lie beyond the pupil."""
+    step = 2.0 / (count - ORDER)
+    return step, (np.arange(count) - (count - 1) / 2) * step
+
+
+def _between(left, right, u, step):
+    return _share((right[:, None] - u) / step) - _share((left[:, None] - u) / step)
+
+
+def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
+    """Return the energy of (2 half + 1)^2 samples around a point's image, STEP apart; all of the image has energy 1.
+
+    float32, rows first. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
+    """
+    cycles = half * STEP + steepest_slope(wave)
+    # rounded up, so that wavelengths and places share rows
+    cycles = float(np.exp2(np.ceil(8 * np.log2(max(cycles, 4))) / 8))
+    count = 2 * int(np.ceil(FINE * cycles)) // 2 + ORDER
+    v, weights = rows_of(pupil, cycles, count)
+    _, u = _places(count)
+    even = pupil.blades % 2 == 0 and not _odd(wave).any()
+    if even:  # rows -v are the same from right to left: the amplitude is real, a sum over v > 0
+        upper = len(v) // 2
+        v, weights = v[upper:], weights[upper:]
+    path = polygrid2d(u, v, wave).T
+    phase = (2 * np.pi * (path - np.rint(path))).astype(np.float32)
+    parts = np.concatenate([np.cos(phase) * weights, np.sin(phase) * weights])
+    # sums with cosines and sines over u, then over v, for X and Y >= 0; signs make the other quadrants
+    (cos_u, sin_u), (cos_v, sin_v) = _turns_along(half, count), _turns_across(pupil, half, cycles, count)
+    by_cos, by_sin = (_complex_pair(parts @ turn) for turn in (cos_u, sin_u))
+    cos_v, sin_v = cos_v[:, -len(v) :], sin_v[:, -len(v) :]
+    straight, crossed = cos_v @ by_cos, sin_v @ by_sin
+    if even:
+        turned = np.float32(0)
+    else:
+        along, across = _turn(cos_v @ by_sin), _turn(sin_v @ by_cos)
+    energy = np.empty((2 * half + 1,) * 2, np.float32)
+    sides = ((1, slice(half, None)), (-1, slice(half, None, -1)))
+    for (y, down), (x, right) in product(sides, sides):
+        if not even:
+            turned = x * along + y * across
+        energy[down, right] = _squares(straight - x * y * crossed + turned)
+    energy *= np.float32((4 if even else 1) * STEP**2 / (np.pi * pupil.area))
+    return energy
+
+
+def _complex_pair(parts):
+    """Real and imaginary parts, one below the other, side by side."""
+    return np.hstack(np.split(parts, 2))
+
+
+def _turn(pair):
+    """Complex numbers times i, of pairs of parts that stand side by side."""
+    half = pair.shape[1] // 2
+    return np.hstack([-pair[:, half:], pair[:, :half]])
+
+
+def _squares(pair):
+    """Squares of sizes of pairs of parts that stand side by side."""
+    half = pair.shape[1] // 2
+    return pair[:, :half] ** 2 + pair[:, half:] ** 2
+
+
+def _odd(wave):
+    """The coefficients of a wavefront of odd order."""
+    i, j = np.indices(wave.shape)
+    return wave * ((i + j) % 2)
+
+
+@lru_cache(maxsize=16)
+def _turns_along(half, count):
+    """Cosines and sines of the samples of a row, (count, half + 1), float32."""
+    return _cos_and_sin(np.outer(_places(count)[1], np.arange(half + 1) * STEP))
+
+
+@lru_cache(maxsize=16)
+def _turns_across(pupil, half, cycles, count):
+    """Cosines and sines of the rows, (half + 1, rows), float32."""
+    return _cos_and_sin(np.outer(np.arange(half + 1) * STEP, rows_of(pupil, cycles, count)[0]))
+
+
+def _cos_and_sin(turns):
+    phase = 2 * np.pi * turns
+    return np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32)
+
+
+@lru_cache(maxsize=128)
+def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
+    """Return the share of each sample of the irradiance in each of `size` pixels, float32 (size, 2 half + 1).
+
+    It is the transform of the pixel's aperture up to the cut-off 1 / q [cycle/pixel].
+
+    Args:
+        size: Pixels, odd.
+        half: See `irradiance`.
+        q: Wavelength times working f-number over the pitch.
+        aperture: Width over which a pixel is integrated [pixel].
+        spot: Half of the distance of a low-pass filter's images [pixel].
+        soft: Standard deviation of a diffuser [pixel].
+        shift: Displacement of the image [pixel].
+    """
+    pixels = np.arange(size) - size // 2.0 - shift
+    samples = np.arange(-half, half + 1) * (2 * q * STEP)
+    longest = abs(samples[0]) + np.abs(pixels).max()
+    x, gauss = roots_legendre(int(np.ceil(1.7 * longest / q)) + 16)
+    f, gauss = (x + 1) / (2 * q), gauss / (2 * q)
+    response = 2 * gauss * _passed(f, aperture, spot, soft)
+    to, of = 2 * np.pi * np.outer(pixels, f), 2 * np.pi * np.outer(f, samples)
+    shares = (np.cos(to) * response).astype(np.float32) @ np.cos(of).astype(np.float32)
+    return shares + (np.sin(to) * response).astype(np.float32) @ np.sin(of).astype(np.float32)
+
+
+def _passed(f, aperture, spot, soft):
+    """Transfer function of aperture, low-pass filter and diffuser along one axis at f [cycle/pixel]."""
+    passed = np.sinc(aperture * f) * np.cos(2 * np.pi * spot * f)
+    return passed * np.exp(-2 * (np.pi * soft * f) ** 2)
+
+
+@lru_cache(maxsize=128)
+def _all_shares(half, q, aperture, spot, soft, shift):
+    """Sum of `pixel_shares` over all pixels of an endless grid, (samples,): 1 if apertures tile or q >= 1."""
+    samples = np.arange(-half, half + 1) * (2 * q * STEP)
+    f = np.arange(1, int(np.ceil(1 / q)))
+    waves = np.cos(2 * np.pi * np.multiply.outer(samples + shift, f))
+    return 1 + 2 * waves @ _passed(f, aperture, spot, soft)
+
+
+def sampled_kernel(
+    pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float = 0.0
+) -> np.ndarray:
+    """Return the energy of every pixel around a point's image: see `gpusim.optics.psf.pupil_kernel`.
+
+    soft: standard deviation of a diffuser [pixel].
+    """
+    reach = size / 2 + max(map(abs, shift)) + MARGIN
+    half = int(np.ceil(reach / (2 * q * STEP))) + MORE
+    energy, axes = irradiance(pupil, wave, half), _axes(q, shift, aperture, spots, soft)
+    down, across = (pixel_shares(size, half, *axis) for axis in axes)
+    whole = 1.0
+    if q < 1:  # apertures with gaps share all light
+        all_down, all_across = (_all_shares(half, *axis) for axis in axes)
+        whole += all_down @ energy @ all_across - energy.sum(dtype=np.float64)
+    return (down @ (energy @ across.T)) / whole
+
+
+def _axes(q, shift, aperture, spots, soft):
+    """Arguments of `pixel_shares` after `half`, for rows and columns."""
+    return [
+        (float(q), float(width), float(spot), float(soft), float(move))
+        for width, spot, move in zip(aperture, spots, shift, strict=True)
+    ]
+
+
+def window(pupil: Pupil, waves) -> tuple[int, float]:
+    """Return `half` of the irradiance that holds what differs from a pupil in focus, and the error of transfer tables.
+
+    Beyond a radius X there is the share pi t / X of the light, t the strength of `edge_tail`. In focus it is where it
+    is with the wavefront, to 3 b^2 / X^2 of it for rays that land b away, or along a polygon's normals anywhere within
+    b of them.
+    """
+    slope, strength = max(map(steepest_slope, waves)), np.pi * edge_tail(pupil)
+    share = 1 / pupil.blades if pupil.blades else 0.0
+    if pupil.blades % 2 == 0:
+        share *= 2
+    farthest = max(REACH * slope + NEAR, strength * share / ERROR)
+    radius = FLAT * farthest
+    moved = min(3 * (slope / radius) ** 2, 1.0)
+    return int(np.ceil(farthest / STEP)), float(strength / radius * max(share, moved))
+
+
+def differences(pupil: Pupil, waves, q, half, aperture, spots, soft, shift) -> np.ndarray:
+    """Return kernels of wavefronts less those of the pupil in focus, float32 (bands, size, size) [pixel].
+
+    They fade out from FLAT of the window on, and their sum is that of a flat field. half: see `window`.
+    """
+    size = 2 * int(np.ceil(2 * max(q) * STEP * half + MARGIN)) + 1
+    at = np.arange(-half, half + 1) / half
+    radius = np.clip((np.hypot(at[:, None], at) - FLAT) / (1 - FLAT), 0, 1)
+    fading = np.float32(np.cos(np.pi / 2 * radius) ** 2)
+    focus = irradiance(pupil, np.zeros((1, 1)), half)
+    light = fading / fading.sum(dtype=np.float64)
+    out = np.empty((len(waves), size, size), np.float32)
+
+    def make(band):
+        left = (irradiance(pupil, waves[band], half) - focus) * fading
+        left -= np.float32(left.sum(dtype=np.float64)) * light.astype(np.float32)
+        down, across = (
+            pixel_shares(size, half, *axis) for axis in _axes(q[band], shift, aperture, spots, soft)
+        )
+        out[band] = down @ (left @ across.T)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(make, range(len(waves))))
+    return out
+
+
+def wrap(kernels, rows: int, cols: int) -> np.ndarray:
+    """Return half spectra of kernels that a period repeats, their middles at sample 0: complex64 (bands, rows, ...)."""
+    at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
+    y, x = at[:, None] % rows, at % cols
+    out = np.empty((len(kernels), rows, cols // 2 + 1), np.complex64)
+    for spectrum, kernel in zip(out, kernels, strict=True):
+        wide = np.zeros((rows, cols), np.float32)
+        if len(at) <= min(rows, cols):
+            wide[y, x] = kernel
+        else:
+            np.add.at(wide, (y, x), kernel)
+        spectrum[:] = scipy.fft.rfft2(wide, workers=-1)
+    return out
