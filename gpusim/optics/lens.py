@@ -22,7 +22,7 @@ from gpusim.optics import farfield
 from gpusim.optics.otf import transfer
 from gpusim.optics.psf import mean_slopes, psf_tables, spread_at, steepest_slope
 from gpusim.optics.rays import AFFORDABLE, is_too_costly
-from gpusim.optics.sampled import differences, sampled_kernel, sampled_transfer, window, wrap
+from gpusim.optics.sampled import difference_tables, sampled_kernel, sampled_transfer, window
 from gpusim.optics.series import points_at
 
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
@@ -352,18 +352,18 @@ class PupilLens(_OnGrid):
             return stages.pupil(optics.pupil, waves, q, *settings, spots, soft, self.displacement)
         flat = np.zeros((len(q), 1, 1))
         focus = stages.pupil(optics.pupil, flat, q, *settings, spots, soft, self.displacement)
-        half, _ = window(optics.pupil, waves)
-        kernels = differences(
+        other = difference_tables(
             optics.pupil,
             waves,
             q,
-            half,
+            rows,
+            cols,
             self.aperture,
             tuple(np.divide(spots, 2)),
             soft,
             tuple(-np.array(self.displacement)),
         )
-        return stages.add(focus, wrap(kernels, rows, cols))
+        return stages.add(focus, other)
 
     @property
     def _spots(self):

@@ -313,34 +313,64 @@ def _difference(pupil, wave, half, focus, fading):
     return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
 
 
-def differences(pupil: Pupil, waves, q, half, aperture, spots, soft, shift) -> np.ndarray:
-    """Return kernels of wavefronts less those of the pupil in focus, float32 (bands, size, size).
-
-    They fade out from FLAT of the window on, and without pixels their sum is 0.
+def difference_tables(pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift) -> np.ndarray:
+    """Return tables of wavefronts less those of the pupil in focus, complex64 (bands, rows, cols // 2 + 1).
 
     Args:
         pupil: The pupil.
         waves: Coefficients of the wavefronts [waves], (bands, n, n).
         q: Wavelength times working f-number over the pitch, (bands,).
-        half: See `window`.
+        rows: Rows of the transform's period.
+        cols: Columns of the transform's period.
         aperture: Height and width over which each pixel is integrated [pixel].
         spots: Halves of the distances of a low-pass filter's images, (rows, cols) [pixel].
         soft: Standard deviation of a diffuser [pixel].
         shift: Displacement of the image, (rows, cols) [pixel].
     """
+    half, _ = window(pupil, waves)
     size = 2 * int(np.ceil(2 * max(q) * STEP * half + MARGIN)) + 1
     focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
-    out = np.empty((len(waves), size, size), np.float32)
+    out = np.empty((len(waves), rows, cols // 2 + 1), np.complex64)
 
     def make(band):
         left = _difference(pupil, waves[band], half, focus, fading)
-        axes = _axes(q[band], shift, aperture, spots, soft)
-        down, across = (pixel_shares(size, half, *axis) for axis in axes)
-        out[band] = down @ (left @ across.T)
+        first, second = _axes(q[band], shift, aperture, spots, soft)
+        if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
+            down = _folded(np.fft.fftfreq(rows), half, *first)
+            across = _folded(np.arange(cols // 2 + 1) / cols, half, *second)
+            out[band] = (down @ left.astype(np.complex64)) @ across.T
+        else:
+            down, across = (pixel_shares(size, half, *axis) for axis in (first, second))
+            out[band] = _wrapped(down @ (left @ across.T), rows, cols)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
     return out
+
+
+def _folded(f, half, q, aperture, spot, soft, shift):
+    """Transform of `pixel_shares`, of all pixels of an endless grid, at f [cycle/pixel], complex64 (f, samples)."""
+    samples = np.arange(-half, half + 1) * (2 * q * STEP) + shift
+    total = np.zeros((len(f), len(samples)), complex)
+    reach = int(np.ceil(1 / q + 0.5))
+    for whole in range(-reach, reach + 1):
+        inside = np.flatnonzero(np.abs(f + whole) * q < 1)
+        one = f[inside] + whole
+        passed = _passed(one, aperture, spot, soft)
+        total[inside] += passed[:, None] * np.exp(-2j * np.pi * np.outer(one, samples))
+    return total.astype(np.complex64)
+
+
+def _wrapped(kernel, rows, cols):
+    """Half spectrum of a kernel that a period repeats, its middle at sample 0."""
+    at = np.arange(len(kernel)) - len(kernel) // 2
+    y, x = at[:, None] % rows, at % cols
+    wide = np.zeros((rows, cols), np.float32)
+    if len(at) <= min(rows, cols):
+        wide[y, x] = kernel
+    else:
+        np.add.at(wide, (y, x), kernel)
+    return scipy.fft.rfft2(wide)
 
 
 def sampled_transfer(pupil: Pupil, wave, sx, sy) -> np.ndarray:
@@ -359,18 +389,3 @@ def sampled_transfer(pupil: Pupil, wave, sx, sy) -> np.ndarray:
         down, across = (np.exp(np.outer(s[piece], at)).astype(np.complex64) for s in (sy, sx))
         found[piece] += np.einsum("fi,fi->f", down @ left, across)
     return found
-
-
-def wrap(kernels, rows: int, cols: int) -> np.ndarray:
-    """Return half spectra of kernels that a period repeats, their middles at sample 0: complex64 (bands, rows, ...)."""
-    at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
-    y, x = at[:, None] % rows, at % cols
-    out = np.empty((len(kernels), rows, cols // 2 + 1), np.complex64)
-    for spectrum, kernel in zip(out, kernels, strict=True):
-        wide = np.zeros((rows, cols), np.float32)
-        if len(at) <= min(rows, cols):
-            wide[y, x] = kernel
-        else:
-            np.add.at(wide, (y, x), kernel)
-        spectrum[:] = scipy.fft.rfft2(wide, workers=-1)
-    return out
