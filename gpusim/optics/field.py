@@ -26,12 +26,17 @@ import scipy
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.optics.lengths import fft_length
-from gpusim.optics.lens import Lens, wavelength_nodes
+from gpusim.optics.lens import NODES, Lens, wavelength_nodes
 
 PERIOD = 64  # [pixel] m, the side of the window that the error is measured in, at least
 CONTRAST = 0.3  # RMS over mean of a natural scene within that window: photographs have 0.2 .. 0.4
-PROBES = 48  # places for the comparison of a model with the lens
-SPACING = 8  # [pixel] between them, at least
+PROBES = 48  # places for the comparison of a model with the lens, and
+LEAST_PROBES = 12  # in small frames
+SPACING = 8  # [pixel] between places, at least
+COARSE = (
+    1e-4  # error of the image from which on FEW_NODES wavelengths do: it is 8e-5 for a mild lens
+)
+FEW_NODES = 6
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
 # each holds the places of those before and of SAMPLES
@@ -448,7 +453,7 @@ def _truth(lens, shape, truth):
 def _probes(shape):
     """Pixels spread evenly over the frame: the additive recurrence of the plastic number."""
     plastic = 1.324717957244746
-    number = np.arange(PROBES)
+    number = np.arange(min(PROBES, max(LEAST_PROBES, shape[0] * shape[1] // (2 * SPACING) ** 2)))
     fractions = np.stack([(0.5 + number / plastic) % 1, (0.5 + number / plastic**2) % 1], axis=1)
     return np.floor(fractions * shape).astype(int)
 
@@ -504,7 +509,8 @@ class Differences:
     def __init__(self, lens: Lens, wavelengths, mix, shape, corner, error):
         self.lens, self.shape, self.corner = lens, shape, corner
         self.middle = (np.array(shape) - 1) / 2 + lens.axis
-        self.nodes, between = wavelength_nodes(wavelengths)
+        count = FEW_NODES if error > COARSE else NODES
+        self.nodes, between = wavelength_nodes(wavelengths, count)
         self.mix = mix @ between
         self.size = self._enough(error)
         self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)

@@ -21,8 +21,9 @@ from gpusim.domain.psf import PointSpread
 from gpusim.optics import farfield
 from gpusim.optics.otf import transfer
 from gpusim.optics.psf import mean_slopes, psf_tables, spread_at, steepest_slope
-from gpusim.optics.rays import is_too_costly
-from gpusim.optics.sampled import differences, sampled_kernel, window, wrap
+from gpusim.optics.rays import AFFORDABLE, is_too_costly
+from gpusim.optics.sampled import difference_tables, sampled_kernel, sampled_transfer, window
+from gpusim.optics.series import points_at
 
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
@@ -188,6 +189,9 @@ class Lens(Protocol):
             else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them.
         """
 
+    def table_error(self, wavelengths, distance: float | None = None) -> float:
+        """Return the error of the transfer tables that is not far below all others [1]; 0 if there is none."""
+
     def tails(self, wavelengths) -> np.ndarray:
         """Return the decay as powers r^-3, r^-5, r^-7, shape (L, 3): see `gpusim.optics.farfield.tail`."""
 
@@ -245,6 +249,10 @@ class _OnGrid:
     def tails(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
         return np.zeros((len(wavelengths), len(farfield.POWERS)))
+
+    def table_error(self, wavelengths, distance=None) -> float:
+        """See `Lens`."""
+        return 0.0
 
     def cutoff(self, wavelength) -> float:
         """See `Lens`."""
@@ -341,23 +349,21 @@ class PupilLens(_OnGrid):
         waves = optics.waves(self.nanometres(q), distance=distance)
         soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
         if not is_too_costly(optics.pupil, waves):
-            return stages.pupil(
-                optics.pupil, waves, q, *settings, spots, soft, self.displacement
-            )
+            return stages.pupil(optics.pupil, waves, q, *settings, spots, soft, self.displacement)
         flat = np.zeros((len(q), 1, 1))
         focus = stages.pupil(optics.pupil, flat, q, *settings, spots, soft, self.displacement)
-        half, _ = window(optics.pupil, waves)
-        kernels = differences(
+        other = difference_tables(
             optics.pupil,
             waves,
             q,
-            half,
+            rows,
+            cols,
             self.aperture,
             tuple(np.divide(spots, 2)),
             soft,
             tuple(-np.array(self.displacement)),
         )
-        return stages.add(focus, wrap(kernels, rows, cols))
+        return stages.add(focus, other)
 
     @property
     def _spots(self):
@@ -373,7 +379,11 @@ class PupilLens(_OnGrid):
         cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
         found = np.empty((len(waves), fx.size), complex)
         for own, wave, one in zip(found, waves, cut, strict=True):
-            own[:] = transfer(optics.pupil, wave[None], fx * one, fy * one)[0]
+            sx, sy = fx * one, fy * one
+            if points_at(optics.pupil, wave[None], fx.size) > AFFORDABLE:
+                own[:] = sampled_transfer(optics.pupil, wave, sx, sy)
+            else:
+                own[:] = transfer(optics.pupil, wave[None], sx, sy)[0]
         down, across = optics.birefringence
         spots = np.cos(np.pi * down * fy) * np.cos(np.pi * across * fx)
         return found * (spots * np.exp(-2 * (np.pi * optics.diffuser) ** 2 * (fy**2 + fx**2)))
@@ -383,6 +393,13 @@ class PupilLens(_OnGrid):
         step = 2 * reach / count
         alone = PupilLens(replace(self.optics, lateral_color=0.0), step, (1.0, 1.0), 0.0)
         return alone.kernels(wavelengths, place, count), step
+
+    def table_error(self, wavelengths, distance=None) -> float:
+        """See `Lens`."""
+        waves = self.optics.waves(wavelengths, distance=distance)
+        if not is_too_costly(self.optics.pupil, waves):
+            return 0.0
+        return window(self.optics.pupil, waves)[1]
 
     def _q(self, wavelengths):
         """Wavelength times working f-number over the pitch, shape (L,)."""

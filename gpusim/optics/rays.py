@@ -24,8 +24,8 @@ from gpusim.optics.series import (
 )
 
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
-# points of integrals, half a second to a second of two cores: beyond it pupils are sampled (gpusim.optics.sampled)
-AFFORDABLE = 1.5e7
+# points of integrals, one second of two cores: beyond it pupils are sampled (gpusim.optics.sampled)
+AFFORDABLE = 3e7
 POLYGON_ERROR = 3e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
 
 

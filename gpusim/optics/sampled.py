@@ -27,6 +27,7 @@ from scipy.special import roots_legendre
 
 from gpusim.domain.pupil import Pupil
 from gpusim.optics.farfield import edge_tail
+from gpusim.optics.otf import FAST, transfer
 from gpusim.optics.psf import steepest_slope
 
 MARGIN = 0.5  # [pixel] and
@@ -37,8 +38,9 @@ REACH, NEAR = 2.5, 12.0  # window over the steepest slope of the wavefront, and 
 FLAT = 0.75  # part of the window up to which differences count in full
 STEP = 0.25  # of the samples of the irradiance, in X
 FINE = 4.5  # samples of a row in a cycle of the fastest phase
+PIECE = 1024  # frequencies at a time
 NODES = 4  # of the Gauss nodes of half a panel where nothing turns
-PER_CYCLE = 2.0  # of them for every cycle of the phase from one end of the panel to the other
+PER_CYCLE = 1.75  # of them for every cycle of the phase from one end of the panel to the other
 
 
 @lru_cache(maxsize=1)
@@ -152,7 +154,10 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
     phase = (2 * np.pi * (path - np.rint(path))).astype(np.float32)
     parts = np.concatenate([np.cos(phase) * weights, np.sin(phase) * weights])
     # sums with cosines and sines over u, then over v, for X and Y >= 0; signs make the other quadrants
-    (cos_u, sin_u), (cos_v, sin_v) = _turns_along(half, count), _turns_across(pupil, half, cycles, count)
+    (cos_u, sin_u), (cos_v, sin_v) = (
+        _turns_along(half, count),
+        _turns_across(pupil, half, cycles, count),
+    )
     by_cos, by_sin = (_complex_pair(parts @ turn) for turn in (cos_u, sin_u))
     cos_v, sin_v = cos_v[:, -len(v) :], sin_v[:, -len(v) :]
     straight, crossed = cos_v @ by_cos, sin_v @ by_sin
@@ -282,7 +287,8 @@ def window(pupil: Pupil, waves) -> tuple[int, float]:
 
     Beyond a radius X there is the share pi t / X of the light, t the strength of `edge_tail`. In focus it is where it
     is with the wavefront, to 3 b^2 / X^2 of it for rays that land b away, or along a polygon's normals anywhere within
-    b of them.
+    b of them. The rest of the differences is spread within the window. Of 15 pupils with wavefronts of up to 8 waves,
+    and 60 frequencies each, half of them across a polygon's normals, the largest errors were 0.15 to 0.7 of this.
     """
     slope, strength = max(map(steepest_slope, waves)), np.pi * edge_tail(pupil)
     share = 1 / pupil.blades if pupil.blades else 0.0
@@ -291,45 +297,95 @@ def window(pupil: Pupil, waves) -> tuple[int, float]:
     farthest = max(REACH * slope + NEAR, strength * share / ERROR)
     radius = FLAT * farthest
     moved = min(3 * (slope / radius) ** 2, 1.0)
-    return int(np.ceil(farthest / STEP)), float(strength / radius * max(share, moved))
+    return int(np.ceil(farthest / STEP)), float(0.75 * strength / radius * max(share, 0.6 * moved))
 
 
-def differences(pupil: Pupil, waves, q, half, aperture, spots, soft, shift) -> np.ndarray:
-    """Return kernels of wavefronts less those of the pupil in focus, float32 (bands, size, size) [pixel].
-
-    They fade out from FLAT of the window on, and their sum is that of a flat field. half: see `window`.
-    """
-    size = 2 * int(np.ceil(2 * max(q) * STEP * half + MARGIN)) + 1
+def _fading(half):
+    """Weight of the samples of a window: 1 up to FLAT of its radius, 0 from the radius on."""
     at = np.arange(-half, half + 1) / half
     radius = np.clip((np.hypot(at[:, None], at) - FLAT) / (1 - FLAT), 0, 1)
-    fading = np.float32(np.cos(np.pi / 2 * radius) ** 2)
-    focus = irradiance(pupil, np.zeros((1, 1)), half)
-    light = fading / fading.sum(dtype=np.float64)
-    out = np.empty((len(waves), size, size), np.float32)
+    return (np.cos(np.pi / 2 * radius) ** 2).astype(np.float32)
+
+
+def _difference(pupil, wave, half, focus, fading):
+    """Irradiance with a wavefront less that in focus, which fades out and has the sum 0, (samples, samples)."""
+    left = (irradiance(pupil, wave, half) - focus) * fading
+    return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
+
+
+def difference_tables(pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift) -> np.ndarray:
+    """Return tables of wavefronts less those of the pupil in focus, complex64 (bands, rows, cols // 2 + 1).
+
+    Args:
+        pupil: The pupil.
+        waves: Coefficients of the wavefronts [waves], (bands, n, n).
+        q: Wavelength times working f-number over the pitch, (bands,).
+        rows: Rows of the transform's period.
+        cols: Columns of the transform's period.
+        aperture: Height and width over which each pixel is integrated [pixel].
+        spots: Halves of the distances of a low-pass filter's images, (rows, cols) [pixel].
+        soft: Standard deviation of a diffuser [pixel].
+        shift: Displacement of the image, (rows, cols) [pixel].
+    """
+    half, _ = window(pupil, waves)
+    size = 2 * int(np.ceil(2 * max(q) * STEP * half + MARGIN)) + 1
+    focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
+    out = np.empty((len(waves), rows, cols // 2 + 1), np.complex64)
 
     def make(band):
-        left = (irradiance(pupil, waves[band], half) - focus) * fading
-        left -= np.float32(left.sum(dtype=np.float64)) * light.astype(np.float32)
-        down, across = (
-            pixel_shares(size, half, *axis) for axis in _axes(q[band], shift, aperture, spots, soft)
-        )
-        out[band] = down @ (left @ across.T)
+        left = _difference(pupil, waves[band], half, focus, fading)
+        first, second = _axes(q[band], shift, aperture, spots, soft)
+        if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
+            down = _folded(np.fft.fftfreq(rows), half, *first)
+            across = _folded(np.arange(cols // 2 + 1) / cols, half, *second)
+            out[band] = (down @ left.astype(np.complex64)) @ across.T
+        else:
+            down, across = (pixel_shares(size, half, *axis) for axis in (first, second))
+            out[band] = _wrapped(down @ (left @ across.T), rows, cols)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
     return out
 
 
-def wrap(kernels, rows: int, cols: int) -> np.ndarray:
-    """Return half spectra of kernels that a period repeats, their middles at sample 0: complex64 (bands, rows, ...)."""
-    at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
+def _folded(f, half, q, aperture, spot, soft, shift):
+    """Transform of `pixel_shares`, of all pixels of an endless grid, at f [cycle/pixel], complex64 (f, samples)."""
+    samples = np.arange(-half, half + 1) * (2 * q * STEP) + shift
+    total = np.zeros((len(f), len(samples)), complex)
+    reach = int(np.ceil(1 / q + 0.5))
+    for whole in range(-reach, reach + 1):
+        inside = np.flatnonzero(np.abs(f + whole) * q < 1)
+        one = f[inside] + whole
+        passed = _passed(one, aperture, spot, soft)
+        total[inside] += passed[:, None] * np.exp(-2j * np.pi * np.outer(one, samples))
+    return total.astype(np.complex64)
+
+
+def _wrapped(kernel, rows, cols):
+    """Half spectrum of a kernel that a period repeats, its middle at sample 0."""
+    at = np.arange(len(kernel)) - len(kernel) // 2
     y, x = at[:, None] % rows, at % cols
-    out = np.empty((len(kernels), rows, cols // 2 + 1), np.complex64)
-    for spectrum, kernel in zip(out, kernels, strict=True):
-        wide = np.zeros((rows, cols), np.float32)
-        if len(at) <= min(rows, cols):
-            wide[y, x] = kernel
-        else:
-            np.add.at(wide, (y, x), kernel)
-        spectrum[:] = scipy.fft.rfft2(wide, workers=-1)
-    return out
+    wide = np.zeros((rows, cols), np.float32)
+    if len(at) <= min(rows, cols):
+        wide[y, x] = kernel
+    else:
+        np.add.at(wide, (y, x), kernel)
+    return scipy.fft.rfft2(wide)
+
+
+def sampled_transfer(pupil: Pupil, wave, sx, sy) -> np.ndarray:
+    """Return the transfer function at frequencies (sx, sy), in units of the cut-off: see `gpusim.optics.otf.transfer`.
+
+    Its error is that of `window`. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
+    """
+    wave = np.asarray(wave, np.float64)
+    half, _ = window(pupil, wave[None])
+    focus = irradiance(pupil, np.zeros((1, 1)), half)
+    left = _difference(pupil, wave, half, focus, _fading(half)).astype(np.complex64)
+    found = transfer(pupil, np.zeros((1, 1, 1)), sx, sy, error=FAST, fast=True)[0]
+    at = np.arange(-half, half + 1) * (-4j * np.pi * STEP)
+    inside = np.flatnonzero(np.hypot(sx, sy) < 1)
+    for piece in np.array_split(inside, -(-len(inside) // PIECE) or 1):
+        down, across = (np.exp(np.outer(s[piece], at)).astype(np.complex64) for s in (sy, sx))
+        found[piece] += np.einsum("fi,fi->f", down @ left, across)
+    return found

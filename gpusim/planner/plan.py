@@ -438,11 +438,17 @@ def plan(
 
 
 def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict[str, Bound]:
-    """Return the named error of rounding. probes: of the scene, if there is a tolerance. single: see `plan`."""
+    """Return the named errors of rounding and of tables.
+
+    probes: of the scene, if there is a tolerance. single: see `plan`.
+    """
     name, rounding = "rounding", ROUNDING if single else STORED
     if single and question.is_blurred:
         name, rounding = "transforms", TRANSFORM_ERROR
-    return {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
+    found = {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
+    if error := question.lens.table_error(question.scene.wavelengths):
+        found["sampled pupil"] = Bound(error) if probes is None else probes.change_error(error)
+    return found
 
 
 def _as_float32(value):

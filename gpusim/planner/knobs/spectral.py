@@ -215,8 +215,10 @@ def transfers_at(question: Question, flat, period: int) -> np.ndarray:
     else:
         half = np.array(scene.samples) / 2 + question.ratio * np.abs(question.axis)
         places = half / question.corner * FIELD_POINTS
-        tables = field_tables(question.lens, scene.wavelengths, places, period)
-        tables *= flat.reshape(-1, *[1] * (tables.ndim - 1))
+        tables = question.cache(
+            "field transfers", field_tables, question.lens, scene.wavelengths, places, period
+        )
+        tables = tables * flat.reshape(-1, *[1] * (tables.ndim - 1))
     taps, _ = taps_of(question)
     if taps is not None:  # structure that the pixels average out is no error
         fx = np.arange(period // 2 + 1) / period
