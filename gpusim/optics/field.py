@@ -15,7 +15,9 @@ four times this error if a centroid moves.
 `Differences` makes such a function of a lens: its kernels minus the kernels on the axis.
 """
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
 
@@ -111,7 +113,8 @@ def choose(
     known = {"truth": (probes, truth), "flat": flat, "groups": groups}
     candidates = [eigen_kernels(lens, shape, tolerance=tolerance, **known)]
     for grid in GRIDS:
-        if min(np.array(shape) - grid) < 0:
+        # places nearer than these add nothing that eigen-kernels of as many places lack
+        if min(np.array(shape) - SPACING * (np.array(grid) - 1)) < 0:
             break
         blur = overlap_add(lens, shape, grid, **known)
         candidates.append(blur)
@@ -535,24 +538,23 @@ class Differences:
         planes = len(self.mix) * len(self.distances)
         kernels = np.empty((len(places), planes, self.size, self.size))
         places = (np.asarray(places, np.float64) - self.middle) / self.corner
-        for kernel, (y, x) in zip(kernels, places, strict=True):
-            if self.lens.symmetry.is_mirrored:  # the other quadrants are mirror images
-                down, across = -1 if y < 0 else 1, -1 if x < 0 else 1
-                kernel[:] = self._at(abs(y), abs(x))[:, ::down, ::across]
-            else:
-                kernel[:] = self._at(y, x)
+        # of a lens with mirror symmetry the other quadrants are mirror images
+        own = np.round(np.abs(places) if self.lens.symmetry.is_mirrored else places, 9) + 0.0
+        new = {place: None for place in map(tuple, own.tolist()) if place not in self._known}
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            self._known.update(zip(new, pool.map(self._at, new), strict=True))
+        for kernel, place, (y, x) in zip(kernels, map(tuple, own.tolist()), places, strict=True):
+            down, across = -1 if y < 0 < place[0] else 1, -1 if x < 0 < place[1] else 1
+            kernel[:] = self._known[place][:, ::down, ::across]
         return kernels
 
-    def _at(self, y, x):
-        key = round(y, 9), round(x, 9)
-        if key not in self._known:
-            found = []
-            for axis, distance in zip(self._axis, self.distances, strict=True):
-                kernels = self.lens.kernels(self.nodes, (y, x), self.size, distance)
-                differences = self._whole(_with_zero_sum(kernels - axis), (y, x), distance)
-                found.append(np.tensordot(self.mix, differences, 1))
-            self._known[key] = np.concatenate(found)
-        return self._known[key]
+    def _at(self, place):
+        found = []
+        for axis, distance in zip(self._axis, self.distances, strict=True):
+            kernels = self.lens.kernels(self.nodes, place, self.size, distance)
+            differences = self._whole(_with_zero_sum(kernels - axis), place, distance)
+            found.append(np.tensordot(self.mix, differences, 1))
+        return np.concatenate(found)
 
     def _whole(self, differences, place, distance):
         """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
