@@ -45,6 +45,7 @@ GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))
 Kernels = Callable[[np.ndarray], np.ndarray]
 WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
 SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
+WIDER = ((127, 159, 201), (255, 319, 401), (511, 639, 801))  # of those that are wider
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,10 +101,13 @@ class FieldBlur:
         )
 
 
-def choose(lens: Kernels, shape, tolerance: float, flat: "FlatField | None" = None) -> FieldBlur:
+def choose(
+    lens: Kernels, shape, tolerance: float, flat: "FlatField | None" = None, groups: int = 1
+) -> FieldBlur:
     """The cheaper of the two methods that keeps `tolerance` (relative RMS), or the more accurate if neither does.
 
-    flat: what flat fields look like, and how wrong that may be; None: that does not count.
+    flat: what flat fields look like, and how wrong that may be; None: that does not count. groups: equal parts of the
+    planes, see `image_error`.
     """
     probes = _probes(shape)
     truth = _kernels(lens, probes)
@@ -111,12 +115,13 @@ def choose(lens: Kernels, shape, tolerance: float, flat: "FlatField | None" = No
     def missed(blur):
         return max(blur.error[0] / tolerance, blur.flat / flat.tolerance if flat else 0.0)
 
-    candidates = [eigen_kernels(lens, shape, tolerance=tolerance, truth=(probes, truth), flat=flat)]
+    known = {"truth": (probes, truth), "flat": flat, "groups": groups}
+    candidates = [eigen_kernels(lens, shape, tolerance=tolerance, **known)]
     for grid in GRIDS:
         # places nearer than these add nothing that eigen-kernels of as many places lack
         if min(np.array(shape) - SPACING * (np.array(grid) - 1)) < 0:
             break
-        blur = overlap_add(lens, shape, grid, truth=(probes, truth), flat=flat)
+        blur = overlap_add(lens, shape, grid, **known)
         candidates.append(blur)
         # finer grids cost more: stop if this one is enough, or costs more than one that is
         if missed(blur) <= 1 or (missed(candidates[0]) <= 1 and blur.cost > candidates[0].cost):
@@ -125,7 +130,9 @@ def choose(lens: Kernels, shape, tolerance: float, flat: "FlatField | None" = No
     return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=missed)
 
 
-def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat=None) -> FieldBlur:
+def overlap_add(
+    lens: Kernels, shape, grid, window="quadratic", truth=None, flat=None, groups=1
+) -> FieldBlur:
     """Return kernels on a grid of places, mixed for each source pixel with weights that sum to one.
 
     window: interpolation of kernels between the grid's places:
@@ -144,6 +151,7 @@ def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat
         window: See above.
         truth: (places, kernels) from which the error is computed.
         flat: See `choose`.
+        groups: See `choose`.
 
     Raises:
         BadData, OutOfRange, UnknownName: The grid or the window is none of these.
@@ -183,7 +191,7 @@ def overlap_add(lens: Kernels, shape, grid, window="quadratic", truth=None, flat
         rows, cols = (one.dense(at) for one, at in zip(axes, flat.axes, strict=True))
         wrong = flat.error(kernels, _window_maps(rows, cols))
     maps = partial(_window_maps, along_y, along_x)
-    error = image_error(mixed, wanted)
+    error = image_error(mixed, wanted, groups)
     cost = _cost(edges, reach, terms)
     return FieldBlur("overlap-add", maps, kernels, index, edges, error, terms, cost, wrong)
 
@@ -245,7 +253,14 @@ class _Window:
 
 
 def eigen_kernels(
-    lens: Kernels, shape, terms=None, tolerance=1e-3, samples=SAMPLES, truth=None, flat=None
+    lens: Kernels,
+    shape,
+    terms=None,
+    tolerance=1e-3,
+    samples=SAMPLES,
+    truth=None,
+    flat=None,
+    groups=1,
 ) -> FieldBlur:
     """Return the mean kernel and the principal differences from it, weighted for a natural scene.
 
@@ -261,6 +276,7 @@ def eigen_kernels(
         samples: Places along rows and columns whose kernels are analysed.
         truth: (places, kernels) from which the error is computed.
         flat: See `choose`.
+        groups: See `choose`.
 
     Source:
         Lauer, Proc. SPIE 4847 (2002); with the weight the truncation error is an image's error,
@@ -282,7 +298,7 @@ def eigen_kernels(
 
     def error(count):
         rest = np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1])
-        return image_error(mean + rest, wanted)
+        return image_error(mean + rest, wanted, groups)
 
     between = _interpolate(nodes, vectors, *flat.axes) if flat else None
 
@@ -384,13 +400,15 @@ def _moments(kernels):
     return np.tensordot(kernels, weights, ((2, 3), (1, 2)))
 
 
-def image_error(kernels, wanted) -> tuple[float, float]:
+def image_error(kernels, wanted, groups: int = 1) -> tuple[float, float]:
     """Return the relative RMS error of a natural image blurred with `kernels` instead of `wanted`.
 
     Both have the shape (n, planes, m, m). Returns the root mean square over the n places, and the
-    largest of them; planes have equal weights.
+    largest of them; planes have equal weights. groups: equal parts of the planes, of which the
+    worst at each place counts.
     """
-    wrong = np.square(_weigh(kernels - wanted)).sum(axis=(2, 3)).mean(axis=1)
+    wrong = np.square(_weigh(kernels - wanted)).sum(axis=(2, 3))
+    wrong = wrong.reshape(len(wrong), groups, -1).mean(axis=2).max(axis=1)
     # of a point: only the weight
     scene = np.square(_weigh(np.ones((1, 1, 1, 1)), kernels.shape[-1])).sum()
     scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
@@ -501,24 +519,30 @@ class Differences:
         shape: (rows, cols) of the planes.
         corner: Distance of the frame's corner from the middle [pixel].
         error: Relative RMS of a natural image that the end of the kernels may cost.
+        distances: Of objects [m]; None: the plane in focus. The planes of each follow one another.
 
     Raises:
-        OutOfRange: No size of SIZES is enough.
+        OutOfRange: No size of SIZES or WIDER is enough.
     """
 
-    def __init__(self, lens: Lens, wavelengths, mix, shape, corner, error):
+    def __init__(self, lens: Lens, wavelengths, mix, shape, corner, error, distances=(None,)):
         self.lens, self.shape, self.corner = lens, shape, corner
+        self.distances = tuple(distances)
         self.middle = (np.array(shape) - 1) / 2 + lens.axis
         count = FEW_NODES if error > COARSE else NODES
         self.nodes, between = wavelength_nodes(wavelengths, count)
         self.mix = mix @ between
-        self.size = self._enough(error)
-        self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size)
+        self.size = max(self._enough(error, distance) for distance in self.distances)
+        self._axis = [
+            self.lens.kernels(self.nodes, (0.0, 0.0), self.size, distance)
+            for distance in self.distances
+        ]
         self._known: dict = {}
 
     def __call__(self, places) -> np.ndarray:
         """Differences at `places`, (row, column) of the planes, shape (n, 2): float64 (n, planes, size, size)."""
-        kernels = np.empty((len(places), len(self.mix), self.size, self.size))
+        planes = len(self.mix) * len(self.distances)
+        kernels = np.empty((len(places), planes, self.size, self.size))
         places = (np.asarray(places, np.float64) - self.middle) / self.corner
         # of a lens with mirror symmetry the other quadrants are mirror images
         own = np.round(np.abs(places) if self.lens.symmetry.is_mirrored else places, 9) + 0.0
@@ -531,48 +555,48 @@ class Differences:
         return kernels
 
     def _at(self, place):
-        kernels = self.lens.kernels(self.nodes, place, self.size)
-        differences = self._whole(_with_zero_sum(kernels - self._axis), place)
-        return np.tensordot(self.mix, differences, 1)
+        found = []
+        for axis, distance in zip(self._axis, self.distances, strict=True):
+            kernels = self.lens.kernels(self.nodes, place, self.size, distance)
+            differences = self._whole(_with_zero_sum(kernels - axis), place, distance)
+            found.append(np.tensordot(self.mix, differences, 1))
+        return np.concatenate(found)
 
-    def _whole(self, differences, place):
+    def _whole(self, differences, place, distance):
         """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
         if self.lens.tail is None:
             return differences  # the kernels hold all light
-        axis = self.lens.centroids(self.nodes, (0.0, 0.0))
-        wanted = self.lens.centroids(self.nodes, place) - axis
+        axis = self.lens.centroids(self.nodes, (0.0, 0.0), distance)
+        wanted = self.lens.centroids(self.nodes, place, distance) - axis
         at = np.arange(self.size) - self.size // 2
         moments = [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at]
         left = wanted - np.stack(moments, axis=1)
         y, x = left.T[..., None, None] / (self.size * (at @ at))
         return differences + y * at[:, None] + x * at
 
-    def _enough(self, error):
+    def _enough(self, error, distance):
         """Size of kernels beyond which the differences at the corners cost less than `error`."""
         least = self.lens.least_size
         corner = farthest_corner(self.shape, self.middle) / self.corner
+        middle = [self.nodes[len(self.nodes) // 2]]
         colour = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max()
         shift = colour * self.corner * np.hypot(*corner)
-        if shift > WIDEST_SHIFT:
-            raise OutOfRange(
-                "optics.lateral_color",
-                f"{shift:.3g} pixels at the frame's corner",
-                f"up to {WIDEST_SHIFT} pixels; or a coarser pixel",
-            )
-        middle = [self.nodes[len(self.nodes) // 2]]
-        size = max(SIZES[-1], least)
-        whole = self.lens.kernels(middle, corner, size)
-        axis = self.lens.kernels(middle, (0.0, 0.0), size)
-        for size in SIZES:
-            if size >= least:
-                cut = _with_zero_sum(whole - axis)[None]
-                inner = slice(whole.shape[1] // 2 - size // 2, whole.shape[1] // 2 + size // 2 + 1)
-                cut[..., inner, inner] = 0
-                if image_error(cut, np.zeros_like(cut))[0] <= error:
-                    return size
+        if shift > WIDEST_SHIFT:  # of the farthest wavelength
+            least = max(least, 2 * int(np.ceil(shift)) + SIZES[0])
+        for sizes in (SIZES, *WIDER):
+            most = max(sizes[-1], self.lens.least_size)
+            whole = self.lens.kernels(middle, corner, most, distance)
+            axis = self.lens.kernels(middle, (0.0, 0.0), most, distance)
+            for size in sizes:
+                if size >= least:
+                    cut = _with_zero_sum(whole - axis)[None]
+                    inner = slice(most // 2 - size // 2, most // 2 + size // 2 + 1)
+                    cut[..., inner, inner] = 0
+                    if image_error(cut, np.zeros_like(cut))[0] <= error:
+                        return size
         raise OutOfRange(
             "field variation",
-            f"kernels at the frame's corner wider than {SIZES[-1]} pixels",
+            f"kernels at the frame's corner wider than {WIDER[-1][-1]} pixels",
             "narrower ones; or a coarser pixel",
         )
 

@@ -289,16 +289,12 @@ class PupilLens(_OnGrid):
 
     least_size = 1
     wavelengths = (0.0, np.inf)
+    fixed_distance = ""
 
     @property
     def is_airy(self) -> bool:
         """See `Lens`."""
         return self.optics.is_ideal
-
-    @property
-    def fixed_distance(self) -> str:
-        """See `Lens`."""
-        return "the blur varies over the field" if self.optics.varies else ""
 
     @cached_property
     def symmetry(self) -> Symmetry:

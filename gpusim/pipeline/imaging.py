@@ -314,33 +314,28 @@ class _Steps:
                     * len(self.depth.kernels)
                 )
             placed = [f"{self.prefix}{name}" for name in ("places", "lights", "zoom")]
+            work = float(per_layer * self.channels * self.samples)
+            if self.varying is not None:
+                nbytes += self._bytes_of_varying(
+                    self.varying.bytes_of_tiles(self.channels)
+                ) + 4 * self.channels * self.samples * len(self.depth.kernels)
             chain.add(
                 "optics.composite",
                 {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
                 *(placed if plan.is_placed else ("", "", "")),
+                self._add_field_tables(chain) if self.varying is not None else "",
                 run=composite_layers,
                 words=self.words("optics.composite"),
                 nbytes=nbytes + self._bytes_of_blur() + self._bytes_of_tables(),
-                work=float(per_layer * self.channels * self.samples),
+                work=work,
                 host="tables of each layer need a few numbers per wavelength"
                 + (f"; {BY_SCIPY}" if self.device.on_host else ""),
             )
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
             self._add_uniform_blur(chain, None, plan.scene.margin - self.blur.spare)
-        if self.varying is not None:
-            tables = f"{self.prefix}field tables of {chain.value}"
-            chain.steps.insert(
-                0,
-                Step(
-                    tables,
-                    "",
-                    (),
-                    {"varying": self.varying, "device": self.device},
-                    rate=Rate.CAMERA,
-                    run=make_field_tables,
-                ),
-            )
+        if self.varying is not None and self.depth is None:
+            tables = self._add_field_tables(chain)
             chain.add(
                 "optics.field",
                 {
@@ -352,13 +347,43 @@ class _Steps:
                 tables,
                 run=add_field,
                 words=self.words("optics.field"),
-                # maps in float64 and float32, planes times maps, spectra
-                nbytes=20 * self.samples * self.varying.convolutions
-                + self.varying.bytes_of_tiles(self.channels)
-                + 4 * self.samples * self.channels,
+                # planes times maps, spectra
+                nbytes=self._bytes_of_varying(self.varying.bytes_of_tiles(self.channels)),
                 work=float(self.count * self.varying.cost),
                 host="if the blur varies, highlights are mixed on the host; on CPUs SciPy transforms the tiles",
             )
+
+    def _bytes_of_varying(self, tiles):
+        """Return the memory of the difference from the on-axis blur [byte]: maps as float64 and float32, results."""
+        return (
+            20 * self.samples * self.varying.convolutions + tiles + 4 * self.samples * self.channels
+        )
+
+    def _add_field_tables(self, chain):
+        """Add the step that makes the tables of the difference from the on-axis blur. Return its name."""
+        name = f"{self.prefix}field tables of {chain.value}"
+        constants = {"varying": self.varying, "device": self.device}
+        by_depth = self.depth is not None
+        if by_depth:
+            constants |= {
+                "count": self.count,
+                "channels": self.channels,
+                "shape": self.plan.content.shape,
+                "margin": self.plan.scene.margin - self.blur.spare,
+            }
+        step = Step(
+            name,
+            "optics.field" if by_depth else "",
+            (),
+            constants,
+            words=self.words("optics.field") if by_depth else "",
+            work=float(self.count * self.varying.cost) if by_depth else 0.0,
+            rate=Rate.CAMERA,
+            host="shades of flat fields are inverted on the host" if by_depth else "",
+            run=make_depth_field_tables if by_depth else make_field_tables,
+        )
+        chain.steps.insert(0, step)
+        return name
 
     def _add_uniform_blur(self, chain, cfa, margin):
         """Add a blur that is the same all over the frame: to the mosaic, or to channels if `cfa` is None."""
@@ -770,16 +795,45 @@ def add_far(rates, planes_, *, model, mix, transfers, cfa, margin, device) -> An
 
 def make_field_tables(*, varying, device) -> tuple:
     """Return the inputs of `optics.field` on the device, and its transfer tables."""
-    inputs = {
-        # edges and indices are read on the host
-        name: value if name in ("edges", "index") else device.array(value)
-        for name, value in varying.stage_inputs.items()
-    }
+    inputs = _field_inputs(varying.stage_inputs, device)
     return inputs, transfer(device, varying.kernels, varying.edges)
 
 
+def _field_inputs(inputs, device):
+    """Return inputs of `optics.field`. Edges and indices are read on the host, the others are on the device."""
+    return {
+        name: value if name in ("edges", "index") else device.array(value)
+        for name, value in inputs.items()
+    }
+
+
+def make_depth_field_tables(*, varying, count, channels, shape, margin, device) -> tuple:
+    """Return what `make_field_tables` does for each kernel of a blur by depth.
+
+    Returns:
+        For each kernel: inputs and tables of the planes, those of the coverage in each channel, and the gain by which
+        coverage of an even surface at this distance remains 1, (channels, rows, cols).
+    """
+    inputs = varying.stage_inputs
+    kernels = inputs.pop("kernels")
+    inputs = _field_inputs(inputs, device)
+    ones = device.array(np.ones((channels, *shape), np.float32))
+    eye, found = np.eye(channels, dtype=np.float32), []
+    for first in range(0, kernels.shape[1], count + channels):
+        parts = []
+        for some in (slice(first, first + count), slice(first + count, first + count + channels)):
+            own = np.ascontiguousarray(kernels[:, some])
+            parts.append(
+                (inputs | {"kernels": device.array(own)}, transfer(device, own, varying.edges))
+            )
+        more = add_field(None, ones, parts[1], mix=eye, border="edge", margin=margin, device=device)
+        parts.append(device.array(1 / (1 + np.asarray(device.numpy(more)))))
+        found.append(tuple(parts))
+    return tuple(found)
+
+
 def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:
-    """Add the difference from the on-axis blur to channels blurred as on the axis."""
+    """Add the difference from the on-axis blur to channels blurred as on the axis, or to 0 if they are None."""
     inputs, kernels = tables
     return field(
         planes_,
@@ -813,7 +867,7 @@ def as_one_plane(rates, *, device) -> Any:
 
 
 def composite_layers(
-    planes_, places, lights, zoom, *, plan: Plan, tables: LensTables, border, device
+    planes_, places, lights, zoom, varying, *, plan: Plan, tables: LensTables, border, device
 ) -> Any:
     """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
 
@@ -821,14 +875,15 @@ def composite_layers(
     continue outside the frame even if no light comes from there. The lens and a view displace the part of a layer
     that each kernel blurs, and its coverage; so distances are never interpolated.
 
-    places: see `place_layers`; None: nothing is displaced. lights, zoom: see `place_planes`.
+    places: see `place_layers`; None: nothing is displaced. lights, zoom: see `place_planes`. varying: see
+    `make_depth_field_tables`; None: the blur is the same all over the field.
     """
     depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
     assert depth is not None and form is not None
     table = made and made.table
     channels, margin = len(plan.weights), plan.scene.margin - form.spare
     beyond = "edge" if border == "zero" else border  # of coverage
-    placing = None
+    eye, placing = np.eye(channels, dtype=np.float32), None
     if places is not None:
         placing = _Placing(places, lights, zoom, plan.content.shape, border, beyond, device)
         picture = flatten(plan.scene)[0] if depth.sheets else None
@@ -847,7 +902,7 @@ def composite_layers(
             light = falloff(own, cover, device=device)
             if placing is not None:
                 light, cover = placing.place(light, cover)
-            light = blur(
+            blurred_light = blur(
                 light,
                 of_planes,
                 form.mix,
@@ -865,7 +920,28 @@ def composite_layers(
                 margin=margin,
                 device=device,
             )
-            blurred.append(light)
+            if varying is not None:
+                of_light, of_cover, gain = varying[kernel]
+                blurred_light = add_field(
+                    blurred_light,
+                    light,
+                    of_light,
+                    mix=form.mix,
+                    border=border,
+                    margin=margin,
+                    device=device,
+                )
+                alpha = add_field(
+                    alpha,
+                    device.reshape(device.stack([cover] * channels), (channels, *cover.shape[1:])),
+                    of_cover,
+                    mix=eye,
+                    border=beyond,
+                    margin=margin,
+                    device=device,
+                )
+                alpha = falloff(alpha, gain, device=device)
+            blurred.append(blurred_light)
             alphas.append(alpha)
             layers.append(layer)
     return composite(device.stack(blurred), device.stack(alphas), layers, device=device)

@@ -397,7 +397,8 @@ def plan(
         else _plain(question, blurred, fixed, notes)
     )
     taps, spare = pixels.taps_of(question, seen.around.spare if seen.around else 0)
-    blur.describe_depth(by_depth, notes)
+    varying = (choice for choice in seen.way.choices if isinstance(choice, FieldBlur))
+    blur.describe_depth(by_depth, next(varying, None), notes)
     picture.describe(notes)
     distortion = pixels.choose_distortion(question, placed, probes, notes)
     pixels.describe_calibration(question, notes)
@@ -489,7 +490,7 @@ def _seen(question, picture, probes, operation, by_depth, fixed, notes):
     arounds = border.surroundings(question, picture, by_depth, operation.level)
     found = options(
         question,
-        spectral.ways(question, probes),
+        spectral.ways(question, probes, by_depth),
         arounds,
         fixed,
         lambda around: blur.form_of(question, around, by_depth)[1],

@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.depth import DepthPlan, plan_depth
+from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
@@ -204,11 +205,13 @@ def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound
     }
 
 
-def describe_depth(depth: DepthPlan | None, notes: Notes):
-    """Note how the blur follows distance."""
+def describe_depth(depth: DepthPlan | None, varying: FieldBlur | None, notes: Notes):
+    """Note how the blur follows distance. varying: its difference from the blur on the axis."""
     if depth is None:
         return
     notes.models["optics.composite"] = depth.model
+    if varying is not None:
+        notes.models["optics.field"] = f"at each kernel's distance, {varying.report}"
     notes.beside |= {
         name: error for name, error in depth.predicted.items() if name.startswith(OTHERS)
     }

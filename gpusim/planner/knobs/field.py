@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gpusim.optics.depth import DepthPlan
 from gpusim.optics.field import (
     Differences,
     FieldBlur,
@@ -19,7 +20,9 @@ WIDEST_ROOM = 8  # times the limit: largest error of a natural scene by the end 
 ROOM = 2.3  # true over predicted error of a channel's planes, by moments, stays below it in 95 % of natural scenes
 
 
-def varying_planes(question: Question, response: Response, prior, flat):
+def varying_planes(
+    question: Question, response: Response, prior, flat, depth: DepthPlan | None = None
+):
     """Return the planes of a blur that varies over the field.
 
     Each channel has own planes, so each plane has one kernel at a place. Their number and the
@@ -30,6 +33,8 @@ def varying_planes(question: Question, response: Response, prior, flat):
         response: Channels over wavelength and frequency.
         prior: E[x^T x] of likely spectra, shape (L, L).
         flat: Response to a flat field of each wavelength, see `Plan`.
+        depth: Plan of the blur by distance. The difference from the axis then has, for each of its
+            kernels, the planes and the coverage in each channel.
 
     Returns:
         Planes from spectra, transfers on the axis, mix, the difference from the axis, error and
@@ -53,18 +58,26 @@ def varying_planes(question: Question, response: Response, prior, flat):
     contrast /= natural_difference()
     # of planes in a flat field of the frame's power
     levels = _sizes(table, spectra.values, max(power, 1e-300))
+    kernels, distances = transfers * flat, (None,)
+    if depth is not None:
+        distances = tuple(depth.distances.tolist())
+        white = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
+        kernels = np.concatenate([kernels, white])
+        # frames divide by what a flat field's coverage becomes
+        levels = np.append(levels, np.zeros(len(white))) / np.sqrt(len(distances))
     varying = question.cache(
         "field plan",
         _rest,
         question.lens,
         question.content.wavelengths,
-        transfers * flat,
+        kernels,
         question.size,
         question.corner,
         _round_down(limit / contrast),
         count,
         _round_down(np.maximum(levels, 1e-12)),
         _round_down(limit),
+        distances,
     )
     error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
     error = float(np.hypot(error, varying.flat))
@@ -106,17 +119,18 @@ def _planes(question, response, prior, limit):
 
 
 def _rest(
-    lens, wavelengths, transfers, shape, corner, limit, count, levels, flat_limit
+    lens, wavelengths, transfers, shape, corner, limit, count, levels, flat_limit, distances
 ) -> FieldBlur:
     """Difference of the blur from the blur on the axis, the cheapest one.
 
     transfers: of the planes, (planes, L), for lights of 1. limit: of the error of natural scenes.
-    levels: strength of the planes in flat fields. flat_limit: limit of the error of flat fields.
+    levels: strength of the planes in flat fields, at each distance. flat_limit: limit of the error of flat fields.
+    distances: see `Differences`.
     """
     room = min(limit, WIDEST_ROOM * flat_limit)
-    differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8)
-    flat = FlatField(differences, shape, levels, flat_limit / 2)
-    return choose(differences, shape, limit / 2 / np.sqrt(count), flat)
+    differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8, distances)
+    flat = FlatField(differences, shape, np.tile(levels, len(distances)), flat_limit / 2)
+    return choose(differences, shape, limit / 2 / np.sqrt(count), flat, len(distances))
 
 
 def _round_down(values):

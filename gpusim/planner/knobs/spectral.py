@@ -9,6 +9,7 @@ import numpy as np
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.spectrum import LINE
+from gpusim.optics.depth import DepthPlan
 from gpusim.optics.fusion import (
     SAMPLED_PERIOD,
     Response,
@@ -103,17 +104,17 @@ class Way:
     make: Callable[[float], Fused]
 
 
-def ways(question: Question, probes: Probes | None) -> list[Way]:
+def ways(question: Question, probes: Probes | None, depth: DepthPlan | None = None) -> list[Way]:
     """Return all ways, from the fewest planes on; the last is exact. A blur that varies over the field has one.
 
-    probes: of the scene, with a tolerance. Raises OutOfRange.
+    probes: of the scene, with a tolerance. depth: plan of the blur by distance. Raises OutOfRange.
     """
     flat = _flat(question)
     even = question.weights / flat
     if not question.lens.is_uniform:
         response = response_of(question, even, flat)
         inputs, transfers, mix, varying, wrong, words = varying_planes(
-            question, response, prior_of(question), flat
+            question, response, prior_of(question), flat, depth
         )
         table = inputs @ question.content.entry_spectra.T
         made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying))
