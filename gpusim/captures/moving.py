@@ -8,9 +8,11 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gpusim.captures.parallax import guess_error, samples_per_radian, see_from
 from gpusim.captures.smear import Path, accumulate, convolve, sum_errors
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.animation import Animation
+from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Cube
 from gpusim.domain.distortion import fit_to_frame
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
@@ -190,7 +192,7 @@ def expose_motion(
         OutOfRange: if there are fewer than 2 instants.
         GpusimError: as raised by `expose_moving`.
     """
-    moving = scene if isinstance(scene, Animation) else None
+    moving, travels = scene if isinstance(scene, Animation) else None, any(motion.travel)
     scene, sensor = moving.at(start) if moving else checked_scene(scene), simulator.camera.sensor
     checked_time(exposure_time)
     if exposure_time is None and sensor.exposure_time is None:
@@ -211,11 +213,12 @@ def expose_motion(
         """Return the times of pictures, and the error and the step between them."""
         times = start + whole * np.linspace(0, 1, count)
         step = largest_step(scene, motion, times)
+        step += parallax_step(scene, simulator.camera, motion, times)
         if moving:  # the path of an actor at the camera's magnification, and the camera's
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         return times, probes.between(step, step * (count - 1) * seconds / whole), step
 
-    can_smear = instants is None and moving is None and scene.depth is None
+    can_smear = instants is None and moving is None and scene.depth is None and not travels
     if plan is not None:  # it is for this form of content
         can_smear = can_smear and isinstance(scene.content, Basis | Cube)
     counts = [count for count in COUNTS if count <= MOST_PICTURES or not can_smear]
@@ -234,18 +237,65 @@ def expose_motion(
         exposure = expose_moving(simulator, [mean], [start], seconds, start, gain, flicker, plan)
     else:
         times = times if step else times[:1]
-        scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
+        scenes = [moving.at(time) if moving else scene for time in times]
+        guessed = None
+        if travels:
+            seen = [
+                see_from(one, simulator.camera, motion.place(time))
+                for one, time in zip(scenes, times, strict=True)
+            ]
+            scenes, guessed = [one.scene for one in seen], np.mean([one.guessed for one in seen], 0)
+        scenes = [one.viewed(motion.at(time)) for one, time in zip(scenes, times, strict=True)]
         exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
         views = [one.view for one in scenes]
         between = next((view for view in views if not view.is_whole(ratio)), views[0])
         resampled = probes.resampling_error(between, ratio)
     account = exposure.plan.account
     bounds = account.bounds | {"view": resampled, "shutter": wrong}
+    if travels:
+        bounds["surfaces that were hidden"] = _guess_error(simulator, exposure, guessed, ratio)
     account, models = dataclasses.replace(account, bounds=bounds), exposure.plan.models
     if words:
         models = models | {"sensor.shutter": f"{words}; {models['sensor.shutter']}"}
     changed = dataclasses.replace(exposure.plan, account=account, models=models)
     return dataclasses.replace(exposure, plan=changed)
+
+
+def _guess_error(simulator, exposure, guessed, ratio):
+    """Return the error of light of surfaces that were hidden. guessed: coverage of each sample."""
+    mean = np.asarray(exposure.mean, np.float64)
+    rows, cols = ((np.arange(n) + 0.5) * ratio for n in mean.shape[-2:])
+    margin = [(own - ratio * n) / 2 for own, n in zip(guessed.shape, mean.shape[-2:], strict=True)]
+    y, x = (
+        np.clip((part + more).astype(int), 0, n - 1)
+        for part, more, n in zip((rows, cols), margin, guessed.shape, strict=True)
+    )
+    sigma = np.sqrt(np.maximum(mean + simulator.camera.sensor.read_sigma**2, 1))
+    return guess_error(guessed[np.ix_(y, x)], mean, sigma)
+
+
+def parallax_step(scene: Scene, camera: Camera, motion: Motion, times) -> float:
+    """Return the largest step that the nearest surface makes between two of these times [sample].
+
+    Args:
+        scene: The scene, with depth.
+        camera: The camera.
+        motion: Its motion.
+        times: Times [s].
+
+    Returns:
+        The step.
+    """
+    if scene.depth is None or not any(motion.travel):
+        return 0.0  # without depth `see_from` refuses it
+    near = min(
+        float(np.min(one)) for one in (scene.depth, *(layer.depth for layer in scene.layers))
+    )
+    moves = np.diff([motion.place(time) for time in times], axis=0)
+    near -= max(0.0, max(motion.place(time)[2] for time in times))
+    sideways = samples_per_radian(scene, camera) * np.hypot(moves[:, 0], moves[:, 1])
+    ahead = np.abs(moves[:, 2]) * np.hypot(*scene.samples) / 2
+    return float(((sideways + ahead) / max(near, 1e-9)).max(initial=0))
 
 
 def _smear(simulator, probes, path, is_enough, pictures):
