@@ -26,6 +26,7 @@ _NAMES = {
     "captures.focus": ("autofocus",),
     "captures.merge": ("merge_bracket", "merge_burst", "merge_flash", "merge_reads"),
     "captures.moving": ("expose_moving", "expose_motion"),
+    "captures.parallax": ("move_camera",),
     "captures.reads": ("Reads", "read_nondestructively"),
     "data.charts": ("chart",),
     "data.displays": ("open_display", "display_names", "display_picture"),
@@ -86,6 +87,7 @@ if TYPE_CHECKING:
     from gpusim.captures.merge import merge_flash as merge_flash, merge_reads as merge_reads
     from gpusim.captures.moving import expose_motion as expose_motion
     from gpusim.captures.moving import expose_moving as expose_moving
+    from gpusim.captures.parallax import move_camera as move_camera
     from gpusim.captures.reads import Reads as Reads
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
     from gpusim.io.camera.calibration import read_calibration as read_calibration

@@ -90,7 +90,14 @@ class Capture:
         return 1
 
     def is_moving(self, scene: Scene | Animation) -> bool:
-        """Return True if the light of a frame changes while it is exposed."""
+        """Return True if the light of a frame changes while it is exposed.
+
+        Args:
+            scene: The scene.
+
+        Returns:
+            False if one exposure of the scene at rest serves all frames.
+        """
         return isinstance(scene, Animation) or self.motion != REST or self.flicker is not None
 
     def take(
@@ -125,7 +132,15 @@ class Capture:
         return self.frames(simulator, self.shots(light, seed, first))
 
     def frames(self, simulator: Simulator, shots: "list[Shot]") -> list[Frame]:
-        """Return the frames of shots, or a list with the merged one."""
+        """Return the frames of shots, or a list with the merged one.
+
+        Args:
+            simulator: Simulator that made the shots.
+            shots: Result of `shots`.
+
+        Returns:
+            The frames.
+        """
         frames = [shot.frame() for shot in shots]
         return [self._merge(simulator, frames)] if self.merged else frames
 

@@ -8,7 +8,8 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gpusim.captures.moving import STEP, largest_step
+from gpusim.captures.moving import STEP, largest_step, parallax_step
+from gpusim.captures.parallax import see_from
 from gpusim.captures.photoreceptor import RATES, Photoreceptor
 from gpusim.domain.errors import BadData, OutOfRange, checked_count, format_value
 from gpusim.domain.motion import Motion
@@ -242,18 +243,27 @@ def events_of(
         windows = duration / sensor.window if sensor.window else 1
         instants = 1 + ceil(max(windows, COARSEST * duration))
         times = start + duration * np.linspace(0, 1, min(instants, MOST))
-        instants = 1 + ceil((instants - 1) * max(largest_step(scene, motion, times) / STEP, 1))
+        step = largest_step(scene, motion, times)
+        step += parallax_step(scene, simulator.camera, motion, times)
+        instants = 1 + ceil((instants - 1) * max(step / STEP, 1))
     if instants > MOST:
         raise OutOfRange(
             "instants of events", instants, f"up to {MOST}: take a shorter time or a slower camera"
         )
     instants = checked_count("instants of events", instants, 2, MOST)
     times = start + duration * np.linspace(0, 1, instants)
-    loop = simulator.loop(scene.viewed(motion.at(start)), 1.0)
+
+    def seen(time):
+        moved = scene
+        if any(motion.travel):
+            moved = see_from(scene, simulator.camera, motion.place(time)).scene
+        return moved.viewed(motion.at(time))
+
+    loop = simulator.loop(seen(start), 1.0)
 
     def rates():
         for time in times:
-            loop.update(scene=scene.viewed(motion.at(time)))
+            loop.update(scene=seen(time))
             yield np.array(simulator.device.numpy(loop.output("mean", seed=0, first=0)))
 
     return sensor.events(times, rates())

@@ -8,14 +8,20 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gpusim.captures.parallax import guess_error, samples_per_radian, see_from
+from gpusim.captures.smear import Path, accumulate, convolve, sum_errors
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.animation import Animation
+from gpusim.domain.camera import Camera
+from gpusim.domain.content import Basis, Cube
+from gpusim.domain.distortion import fit_to_frame
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.kernels.sensor.shutter import shutter
+from gpusim.optics.geometry import distortion_grid
 from gpusim.optics.shutter import shutter_weights
 from gpusim.pipeline.exposure import Exposure, expose_mean
 from gpusim.pipeline.metering import choose_exposure, meter_light, metering_numbers
@@ -24,7 +30,14 @@ from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.choices import Goal
 from gpusim.planner.plan import Plan
 
-COUNTS = (2, 3, 5, 9, 17, 33, 65, 129)  # instants; each set contains the one before
+# instants; each set contains the one before
+COUNTS = tuple(2**n + 1 for n in (0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10))
+MOST_PICTURES = 129  # instants of a scene that may be smeared instead
+AT_ONCE = 129  # pictures in memory
+FEW = 9  # pictures that cost less than a smear
+EXACT = 1e-3  # relative RMS error of a smear without a tolerance, at most
+VIEWS = (*COUNTS[1:], 2**11 + 1, 2**12 + 1)  # of a smear
+WORK = 12  # planes of a view that cost as much as a picture
 ENOUGH = 0.5  # part of the tolerance for the error between instants
 STEP = 0.25  # [sample] between two instants, without a tolerance
 
@@ -79,13 +92,13 @@ def expose_moving(
         raise BadData("moving scene: the scenes differ in size")
     plans = _plans(simulator, scenes, plan, exposure_time)
     # the pictures, and their stack
-    nbytes = 8 * len(scenes) * prod(scenes[0].shape) * len(plans[0].weights)
+    nbytes = 8 * min(len(scenes), AT_ONCE) * prod(scenes[0].shape) * len(plans[0].weights)
     if nbytes > device.memory:
         raise DoesNotFit(
             f"a moving scene of {len(scenes)} pictures", nbytes, device.memory, device.name
         )
     with device.timed() as ms:
-        rates = [imaging.values(plan)["per second"] for plan in plans]
+        rates = [imaging.values(plan)["per second"] for plan in plans[:AT_ONCE]]
         shape = rates[0].shape
         exposure_time = sensor.exposure_time if exposure_time is None else exposure_time
         if exposure_time is None:
@@ -94,14 +107,21 @@ def expose_moving(
             exposure_time, gain = choose_exposure(device.numpy(light), prod(shape), **numbers)
         weights = shutter_weights(times, shape[-2], exposure_time, sensor.row_time, start, flicker)
         layers = prod(shape[:-2])  # of stacked pixels, one below the other
-        stacked = device.reshape(device.stack(rates), (len(rates), layers * shape[-2], shape[-1]))
-        mean = shutter(stacked, np.tile(weights, (layers, 1)), device=device)
+        mean, weights = None, np.tile(weights, (layers, 1))
+        for first in range(0, len(plans), AT_ONCE):
+            own = weights[:, first : first + AT_ONCE]
+            if first:
+                later = plans[first : first + AT_ONCE]
+                rates = [mean, *(imaging.values(plan)["per second"] for plan in later)]
+                own = np.column_stack([np.ones(len(own)), own])
+            pictures = len(rates), layers * shape[-2], shape[-1]
+            mean = shutter(device.reshape(device.stack(rates), pictures), own, device=device)
+            mean = device.reshape(mean, shape)
         model = f"{len(scenes)} pictures, rows {1e6 * sensor.row_time:g} us apart"
         if flicker:
             model += f", light that flickers at {flicker.frequency:g} Hz"
         models = plans[0].models | {"sensor.shutter": model}
         reported = dataclasses.replace(_worst(plans), models=models)
-        mean = device.reshape(mean, shape)
         exposure = expose_mean(simulator, reported, mean, exposure_time, gain)
     return dataclasses.replace(exposure, ms=dict(ms), wall_ms=1e3 * (perf_counter() - begin))
 
@@ -147,7 +167,11 @@ def expose_motion(
     """Return the mean electrons of a scene if the camera moves during the exposure.
 
     Shows motion blur and, with a rolling shutter, leaning edges. Automatic exposure meters the
-    first view.
+    first view. A long path is smeared before the lens, as one picture (`gpusim.captures.smear`);
+    pictures at a few instants serve for a short one, for actors and for depth. Of methods whose
+    error stays below ENOUGH of the tolerance the cheapest is chosen; without a tolerance instants
+    are at most STEP samples apart, and a smear errs by at most EXACT. The error is reported as
+    "shutter".
 
     Args:
         simulator: simulator whose camera takes the exposure.
@@ -156,9 +180,8 @@ def expose_motion(
         exposure_time: exposure time [s]; None is the camera's or automatic.
         start: time at which the first row opens, on the clock of the motion [s].
         gain: analog gain, see `Simulator.expose`.
-        instants: number of views of the scene, 2 or more. None chooses the fewest of COUNTS that
-            keep the error between them below ENOUGH of the tolerance or, without a tolerance, the
-            camera's step below STEP samples. That error is reported as "shutter".
+        instants: number of pictures of the scene, 2 or more. None chooses the method, and the
+            fewest of COUNTS.
         flicker: flicker of all the light; see `expose_moving`.
         plan: plan for all views; None plans them. See `Simulator`.
 
@@ -166,10 +189,10 @@ def expose_motion(
         The exposure.
 
     Raises:
-        OutOfRange: if there are fewer than 2 instants, or the path needs more than COUNTS has.
+        OutOfRange: if there are fewer than 2 instants.
         GpusimError: as raised by `expose_moving`.
     """
-    moving = scene if isinstance(scene, Animation) else None
+    moving, travels = scene if isinstance(scene, Animation) else None, any(motion.travel)
     scene, sensor = moving.at(start) if moving else checked_scene(scene), simulator.camera.sensor
     checked_time(exposure_time)
     if exposure_time is None and sensor.exposure_time is None:
@@ -180,36 +203,137 @@ def expose_motion(
     if instants is not None and not instants >= 2:
         raise OutOfRange("instants", instants, "2 or more")
     probes = probes_for(simulator, scene, motion.at(start), seconds)
-    for count in [instants] if instants else COUNTS:
+
+    def is_enough(bound, step):
+        if simulator.tolerance is None:
+            return step <= STEP
+        return SAFETY * bound.ratio(simulator.tolerance) <= ENOUGH
+
+    def error_of(count):
+        """Return the times of pictures, and the error and the step between them."""
         times = start + whole * np.linspace(0, 1, count)
         step = largest_step(scene, motion, times)
+        step += parallax_step(scene, simulator.camera, motion, times)
         if moving:  # the path of an actor at the camera's magnification, and the camera's
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
-        wrong = probes.between(step, step * (count - 1) * seconds / whole)
-        tolerance = simulator.tolerance
-        is_enough = step <= STEP
-        if tolerance is not None:
-            is_enough = SAFETY * wrong.ratio(tolerance) <= ENOUGH
-        if instants or not step or is_enough:
+        return times, probes.between(step, step * (count - 1) * seconds / whole), step
+
+    can_smear = instants is None and moving is None and scene.depth is None and not travels
+    if plan is not None:  # it is for this form of content
+        can_smear = can_smear and isinstance(scene.content, Basis | Cube)
+    counts = [count for count in COUNTS if count <= MOST_PICTURES or not can_smear]
+    for count in [instants] if instants else counts:
+        times, wrong, step = error_of(count)
+        is_met = bool(instants) or not step or is_enough(wrong, step)
+        if is_met:
             break
+    ratio, words = scene.samples_per_pixel, ""
+    smeared = None
+    if can_smear and step and count > FEW:
+        path = Path(scene, motion, start, seconds, sensor.row_time, flicker)
+        smeared = _smear(simulator, probes, path, is_enough, count if is_met else None)
+    if smeared is not None:
+        mean, wrong, resampled, words = smeared
+        exposure = expose_moving(simulator, [mean], [start], seconds, start, gain, flicker, plan)
     else:
-        raise OutOfRange(
-            "motion during an exposure",
-            f"{step * (count - 1):.4g} samples in {whole:.4g} s",
-            f"a path of up to {count} instants: take a shorter exposure, a slower camera or a larger "
-            "tolerance",
-        )
-    if not step:
-        times = times[:1]
-    scenes = [(moving.at(time) if moving else scene).viewed(motion.at(time)) for time in times]
-    exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
-    ratio = scene.samples_per_pixel
-    views = [one.view for one in scenes]
-    between = next((view for view in views if not view.is_whole(ratio)), views[0])
-    bounds = {"view": probes.resampling_error(between, ratio), "shutter": wrong}
+        times = times if step else times[:1]
+        scenes = [moving.at(time) if moving else scene for time in times]
+        guessed = None
+        if travels:
+            seen = [
+                see_from(one, simulator.camera, motion.place(time))
+                for one, time in zip(scenes, times, strict=True)
+            ]
+            scenes, guessed = [one.scene for one in seen], np.mean([one.guessed for one in seen], 0)
+        scenes = [one.viewed(motion.at(time)) for one, time in zip(scenes, times, strict=True)]
+        exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
+        views = [one.view for one in scenes]
+        between = next((view for view in views if not view.is_whole(ratio)), views[0])
+        resampled = probes.resampling_error(between, ratio)
     account = exposure.plan.account
-    account = dataclasses.replace(account, bounds=account.bounds | bounds)
-    return dataclasses.replace(exposure, plan=dataclasses.replace(exposure.plan, account=account))
+    bounds = account.bounds | {"view": resampled, "shutter": wrong}
+    if travels:
+        bounds["surfaces that were hidden"] = _guess_error(simulator, exposure, guessed, ratio)
+    account, models = dataclasses.replace(account, bounds=bounds), exposure.plan.models
+    if words:
+        models = models | {"sensor.shutter": f"{words}; {models['sensor.shutter']}"}
+    changed = dataclasses.replace(exposure.plan, account=account, models=models)
+    return dataclasses.replace(exposure, plan=changed)
+
+
+def _guess_error(simulator, exposure, guessed, ratio):
+    """Return the error of light of surfaces that were hidden. guessed: coverage of each sample."""
+    mean = np.asarray(exposure.mean, np.float64)
+    rows, cols = ((np.arange(n) + 0.5) * ratio for n in mean.shape[-2:])
+    margin = [(own - ratio * n) / 2 for own, n in zip(guessed.shape, mean.shape[-2:], strict=True)]
+    y, x = (
+        np.clip((part + more).astype(int), 0, n - 1)
+        for part, more, n in zip((rows, cols), margin, guessed.shape, strict=True)
+    )
+    sigma = np.sqrt(np.maximum(mean + simulator.camera.sensor.read_sigma**2, 1))
+    return guess_error(guessed[np.ix_(y, x)], mean, sigma)
+
+
+def parallax_step(scene: Scene, camera: Camera, motion: Motion, times) -> float:
+    """Return the largest step that the nearest surface makes between two of these times [sample].
+
+    Args:
+        scene: The scene, with depth.
+        camera: The camera.
+        motion: Its motion.
+        times: Times [s].
+
+    Returns:
+        The step.
+    """
+    if scene.depth is None or not any(motion.travel):
+        return 0.0  # without depth `see_from` refuses it
+    near = min(
+        float(np.min(one)) for one in (scene.depth, *(layer.depth for layer in scene.layers))
+    )
+    moves = np.diff([motion.place(time) for time in times], axis=0)
+    near -= max(0.0, max(motion.place(time)[2] for time in times))
+    sideways = samples_per_radian(scene, camera) * np.hypot(moves[:, 0], moves[:, 1])
+    ahead = np.abs(moves[:, 2]) * np.hypot(*scene.samples) / 2
+    return float(((sideways + ahead) / max(near, 1e-9)).max(initial=0))
+
+
+def _smear(simulator, probes, path, is_enough, pictures):
+    """Return a scene of the mean light along a path, its two errors and words for it; None if pictures are better.
+
+    pictures: number of pictures that would do, or None if so many do not.
+    """
+    device, distortion = simulator.device, simulator.camera.optics.distortion
+    displaced = 0.0
+    if distortion is not None and path.row_time:
+        pitch, ratio = simulator.camera.sensor.pixel_pitch, path.scene.samples_per_pixel
+        fitted = fit_to_frame(distortion, path.scene.shape, pitch)
+        grid = distortion_grid(fitted, path.scene.samples, pitch / ratio)
+        displaced = float(np.abs(grid.nodes[..., 0]).max())
+    sheared = path.shear_error(probes, displaced)
+
+    def does(bound, step=0.0):
+        if simulator.tolerance is None:
+            return bound.rms <= EXACT and step <= STEP
+        return is_enough(bound, step)
+
+    bound = sum_errors([path.shape_error(probes), sheared])
+    length = f"a path of {path.length:.3g} samples"
+    if does(bound):
+        resampled = path.view_error(probes, True)
+        return convolve(device, path), bound, resampled, f"{length}: one transfer function"
+    if pictures is not None and not does(sheared):
+        return None
+    for count in VIEWS:
+        step = path.length / (count - 1)
+        between = probes.between(step, path.length)
+        bound = sum_errors([between, sheared])
+        if does(bound, step) or (step <= STEP and not does(sheared)):
+            break
+    if pictures is not None and count * len(path.scene.content.planes) > WORK * pictures:
+        return None
+    resampled = path.view_error(probes, False)
+    return accumulate(device, path, count), bound, resampled, f"{length}: the sum of {count} views"
 
 
 def largest_step(scene, motion, times):

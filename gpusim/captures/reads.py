@@ -86,7 +86,16 @@ class Reads(Capture):
         )
 
     def shots(self, light: Light, seed: int, first: int) -> list[Shot]:
-        """See `Capture.shots`."""
+        """Return the reads, see `Capture.shots`.
+
+        Args:
+            light: Light of the scene.
+            seed: Seed of the noise.
+            first: Number of the frame.
+
+        Returns:
+            One for each read.
+        """
         exposures, raw = self.raw(light, seed, first)
         device = light.simulator.device
         return [

@@ -9,10 +9,21 @@ if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
 
 KINDS = ("burst", "bracket", "reads")
-MOVES = ("pan", "roll", "zooming", "shake", "seed", "flicker", "pwm", "period", "instants")
+MOVES = (
+    "pan",
+    "roll",
+    "zooming",
+    "shake",
+    "travel",
+    "seed",
+    "flicker",
+    "pwm",
+    "period",
+    "instants",
+)
 WANTED = (
     "burst=N, bracket=STOP:STOP:... or reads=TIME:TIME:..., merged, and pan=DOWN:RIGHT, roll=DEG_S, "
-    "zooming=FACTOR, shake=PIXELS, seed=N, flicker=HZ:DEPTH, pwm=HZ:DUTY, period=SECONDS, instants=N, each once"
+    "zooming=FACTOR, shake=PIXELS, travel=DOWN:RIGHT:AHEAD (m/s), seed=N, flicker=HZ:DEPTH, pwm=HZ:DUTY, period=SECONDS, instants=N, each once"
 )
 
 
@@ -109,6 +120,7 @@ def _read_motion(found):
         numbers("zooming", [1.0])[0],
         numbers("shake", [0.0])[0],
         int(found.get("seed", 0)),
+        tuple(numbers("travel", [0.0, 0.0, 0.0], 3)),
     )
     common: dict[str, Any] = {"motion": motion, "flicker": flicker, "merged": "merged" in found}
     common["period"] = numbers("period", [0.0])[0]

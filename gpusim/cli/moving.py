@@ -41,6 +41,13 @@ def _pair(text):
     return down, right
 
 
+@reads("three numbers, DOWN,RIGHT,AHEAD, such as 0,0.1,0")
+def _triple(text):
+    """Return the three numbers of DOWN,RIGHT,AHEAD."""
+    down, right, ahead = (float(part) for part in text.split(","))
+    return down, right, ahead
+
+
 def _movement(default, metavar, words):
     """Return the field of an option with one number."""
     return option(default=default, type=number("a number"), metavar=metavar, help=words)
@@ -80,6 +87,12 @@ class MovingRequest(Request):
     )
     zooming: float = _movement(1.0, "FACTOR", "growth of the magnification per second (default: 1)")
     shake: float = _movement(0.0, "PIXELS", "root mean square displacement of a hand-held camera")
+    travel: tuple[float, float, float] = option(
+        default=(0.0, 0.0, 0.0),
+        type=_triple,
+        metavar="DOWN,RIGHT,AHEAD",
+        help="speed of the camera's place [m/s]: near things move more; the scene needs depth",
+    )
     actor: list[Cast] | tuple = option(
         default=(),
         type=Cast.parse,
@@ -110,17 +123,19 @@ class MovingRequest(Request):
         from gpusim.domain.motion import Motion
 
         scenes: Any = self._open_scenes()
-        motion = Motion(self.pan, radians(self.roll), self.zoom, self.zooming, self.shake, seed)
+        roll, travel = radians(self.roll), self.travel
+        motion = Motion(self.pan, roll, self.zoom, self.zooming, self.shake, seed, travel)
         actors = tuple(cast.actor() for cast in self.actor)
         if motion != Motion(seed=seed) or flicker or actors:
-            scenes = Moving(scenes, motion, self.fps, flicker, actors)
+            camera = self.open_camera() if any(travel) else None
+            scenes = Moving(scenes, motion, self.fps, flicker, actors, camera)
             next(scenes.between(0, 1))  # refuses actors that do not fit
         return scenes
 
     def check_movement(self, scenes: "Scenes") -> None:
         """Raise Conflict for a movement that no frame of these scenes shows."""
         if scenes.count == 1:
-            for name in ("pan", "roll", "zooming"):
+            for name in ("pan", "roll", "zooming", "travel"):
                 self.refuse(name, "a single frame shows no movement", "make more --frames")
 
     def _open_scenes(self):

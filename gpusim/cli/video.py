@@ -174,8 +174,9 @@ class VideoRequest(MovingRequest):
 
     def check_scenes(self, scenes: "Scenes") -> None:
         """Raise Conflict for options that have no effect on these scenes."""
-        if not any(map(self.is_changed, ("pan", "roll", "zooming", "shake", "actor"))):
-            self.refuse("blur", "nothing moves", "add --pan, --roll, --zooming, --shake or --actor")
+        if not any(map(self.is_changed, ("pan", "roll", "zooming", "shake", "travel", "actor"))):
+            remedy = "add --pan, --roll, --zooming, --shake, --travel or --actor"
+            self.refuse("blur", "nothing moves", remedy)
         if not (self.blur or self.flicker or self.pwm):
             self.check_movement(scenes)
         if scenes.count == 1:

@@ -27,6 +27,8 @@ class Motion:
         shake: RMS displacement by a hand along each axis [pixel]: a sum of waves of SLOWEST to
             FASTEST with amplitudes inverse to frequency, and rotations of ROLL.
         seed: Seed of the shake.
+        travel: Speed of the camera's place down, right and ahead [m/s]: near things move more than
+            far ones, so the scene needs depth.
 
     Raises:
         BadData: A value is no finite number.
@@ -39,21 +41,44 @@ class Motion:
     zooming: float = 1.0
     shake: float = 0.0
     seed: int = 0
+    travel: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __post_init__(self):
         try:
             numbers = [
-                float(part) for part in (*self.pan, self.roll, self.zoom, self.zooming, self.shake)
+                float(part)
+                for part in (
+                    *self.pan,
+                    self.roll,
+                    self.zoom,
+                    self.zooming,
+                    self.shake,
+                    *self.travel,
+                )
             ]
         except (TypeError, ValueError):
             raise BadData(f"motion = {self!r}: wanted numbers") from None
-        if len(numbers) != 6 or not all(map(isfinite, numbers)):
-            raise BadData(f"motion = {self!r}: wanted finite numbers, two of them for pan")
+        if (len(self.pan), len(self.travel)) != (2, 3) or not all(map(isfinite, numbers)):
+            raise BadData(
+                f"motion = {self!r}: wanted finite numbers, two of them for pan and three for travel"
+            )
         if not self.shake >= 0:
             raise OutOfRange("motion.shake", self.shake, "0 or more pixels")
         if not self.zooming > 0:
             raise OutOfRange("motion.zooming", self.zooming, "a factor above 0")
         self.at(0.0)
+
+    def place(self, time: float) -> tuple[float, float, float]:
+        """Return how far the camera has moved at one time.
+
+        Args:
+            time: Time [s].
+
+        Returns:
+            Down, right and ahead [m].
+        """
+        down, right, ahead = (float(speed) * time for speed in self.travel)
+        return down, right, ahead
 
     def at(self, time: float) -> View:
         """Return the view at one time.

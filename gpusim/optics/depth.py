@@ -16,6 +16,7 @@ import numpy as np
 import scipy
 from scipy.special import jv
 
+from gpusim.domain.content import Basis, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
@@ -130,15 +131,20 @@ class DepthPlan:
 
 
 def flatten(scene: Scene):
-    """Return content and depth of the picture that a scene with layers shows, each sample from the layer covering half.
+    """Return content and depth of the picture that a scene with layers shows.
 
-    The content can be read on the host, and is then there.
+    Light of a Basis or a Cube is mixed by the coverage. Distances, and other content, are those of the layer that
+    covers half of a sample. The content can be read on the host, and is then there.
     """
     content, depth = scene.content.on_host(), scene.depth
     for layer in reversed(scene.layers):
         front = np.asarray(layer.alpha) >= 0.5
         depth = np.where(front, layer.depth, depth)  # type: ignore[arg-type]  # Scene has checked
-        content = content.behind(layer.content.on_host(), front)
+        own, alpha = layer.content.on_host(), np.asarray(layer.alpha, np.float32)
+        if isinstance(content, Basis | Cube) and (front != alpha).any():
+            content = content.with_planes(alpha * own.planes + (1 - alpha) * content.planes)
+        else:
+            content = content.behind(own, front)
     return content, depth
 
 

@@ -7,7 +7,9 @@ from itertools import islice, repeat
 from pathlib import Path
 from typing import Protocol
 
+from gpusim.captures.parallax import move_camera
 from gpusim.domain.animation import Actor, Animation
+from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.flicker import Flicker
 from gpusim.domain.motion import Motion
@@ -89,6 +91,7 @@ class Moving:
         rate: Frames per second.
         flicker: Flicker of all light.
         actors: Pictures that move in front of the scenes.
+        camera: The camera, for its focal length, if it travels.
 
     Raises:
         BadData, OutOfRange: If the view leaves the scene.
@@ -103,9 +106,10 @@ class Moving:
         rate: Fraction,
         flicker: Flicker | None = None,
         actors: tuple[Actor, ...] = (),
+        camera: Camera | None = None,
     ):
         self.still, self.motion, self.period = scenes, motion, float(1 / rate)
-        self.flicker, self.actors = flicker, actors
+        self.flicker, self.actors, self._camera = flicker, actors, camera
         self.count, self.names = scenes.count, scenes.names
         for number in (0, self.count - 1):
             motion.at(number * self.period)  # raises before the work
@@ -114,9 +118,10 @@ class Moving:
         """See `Scenes`."""
         for number, scene in enumerate(self.still.between(first, end), first):
             time = number * self.period
-            yield (Animation(scene, self.actors).at(time) if self.actors else scene).viewed(
-                self.motion.at(time)
-            )
+            shown = Animation(scene, self.actors).at(time) if self.actors else scene
+            if self._camera is not None:
+                shown = move_camera(shown, self._camera, self.motion.place(time))
+            yield shown.viewed(self.motion.at(time))
 
 
 def check_size(scene: Scene, shape, name, first) -> Scene:

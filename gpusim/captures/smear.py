@@ -1,0 +1,388 @@
+"""A scene as it falls on the sensor during an exposure in motion, as one scene of its mean light.
+
+All of a frame up to its noise is linear in the light of the scene. So the mean over an exposure of many pictures is
+one picture of the scene's mean light: sample p of that scene is the mean of the scene along the path of p, from the
+opening to the closing of its row. Two methods compute it:
+
+- `convolve`: the path has nearly one shape for all samples. The scene is convolved with that shape by its exact
+  transfer function, and each sample then looks at the middle of its own path.
+- `accumulate`: views of the scene are added up. Each sample looks where it is at that part of its own exposure.
+
+A lens gathers the light of neighbouring rows, which open at other times. `Path.shear_error` is the error that this
+adds behind a rolling shutter.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import scipy.ndimage
+
+from gpusim.backends import Device
+from gpusim.domain.account import Bound
+from gpusim.domain.content import Basis, Content, Cube
+from gpusim.domain.flicker import Flicker
+from gpusim.domain.motion import Motion
+from gpusim.domain.scene import Scene
+from gpusim.kernels.optics.blur import blur
+from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.sensor.shutter import shutter
+from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.lengths import fft_length
+from gpusim.optics.shutter import shutter_weights
+from gpusim.pipeline.reading import planes, store
+from gpusim.planner.probes import SIDE, Probes
+
+PIECES = (1, 2, 4, 8, 16, 32, 64)  # straight pieces of a path
+FINEST = 256  # pieces that count as the path itself
+STRAIGHT = 1e-5  # error of a transfer function for which pieces count as the path
+CHECKED = 5  # rows and columns of samples whose paths are compared
+NODES = 17, 5  # rows and columns of nodes of `optics.distort`: rows also stand for times
+SPARE = 16  # [sample] around a path for the tails of its interpolation
+CHUNK = 8  # views that are added up at once
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """Places in the scene that the samples of a frame look at during their exposures.
+
+    Attributes:
+        scene: The scene.
+        motion: Motion of the camera.
+        start: Time at which the first row opens [s].
+        seconds: Exposure time [s].
+        row_time: Time from row to row [s].
+        flicker: Flicker of the light, on the clock of the motion, or None.
+    """
+
+    scene: Scene
+    motion: Motion
+    start: float
+    seconds: float
+    row_time: float
+    flicker: Flicker | None = None
+
+    def opens(self, y) -> np.ndarray:
+        """Return when samples open [s]. y: their rows from the middle of the frame [sample]."""
+        row = (np.asarray(y) + self.scene.samples[0] / 2) / self.scene.samples_per_pixel - 0.5
+        return self.start + self.row_time * row
+
+    def places(self, y, x, part: float) -> np.ndarray:
+        """Return places of samples in the scene [sample], shape (2, rows, cols), relative to the middle.
+
+        Args:
+            y: Rows of the samples in the frame, relative to the middle [sample].
+            x: Columns.
+            part: Part of the exposure that has passed, 0 .. 1.
+        """
+        ratio, found = self.scene.samples_per_pixel, np.empty((2, len(y), len(x)))
+        for row, time in enumerate(self.opens(y) + part * self.seconds):
+            found[:, row] = np.broadcast_arrays(
+                *self.motion.at(float(time)).place(y[row], x, ratio)
+            )
+        return found
+
+    def light(self, y: float, parts: np.ndarray) -> np.ndarray:
+        """Return the share of the light of a row's exposure between consecutive parts of it, sum 1."""
+        if self.flicker is None:
+            return np.diff(parts)
+        own = self.flicker.since(float(self.opens(y)))
+        light = np.diff(own.integrals(parts * self.seconds)[0])
+        total = light.sum()
+        return light / total if total > 0 else np.diff(parts)
+
+    @cached_property
+    def checked(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and columns of the samples whose paths are compared."""
+        spread = np.linspace(-0.5, 0.5, CHECKED)
+        rows, cols = self.scene.samples
+        return spread * (rows - 1), spread * (cols - 1)
+
+    @cached_property
+    def points(self) -> np.ndarray:
+        """Paths of the checked samples, shape (FINEST + 1, 2, rows, cols)."""
+        parts = np.linspace(0, 1, FINEST + 1)
+        return np.array([self.places(*self.checked, part) for part in parts])
+
+    @cached_property
+    def middles(self) -> np.ndarray:
+        """Middles of the paths, as nodes for `optics.distort`."""
+        parts = np.linspace(0, 1, FINEST + 1)
+        y, _ = _edges(self.scene.content.shape, NODES)
+        light = np.array([self.light(row, parts) for row in y])  # (rows, pieces)
+        along = np.array([_nodes(self, part) for part in parts])  # (points, rows, cols, 3)
+        return np.einsum("yk,kyxi->yxi", light, (along[1:] + along[:-1]) / 2)
+
+    @cached_property
+    def is_common(self) -> bool:
+        """True if the middles of all paths are displaced alike."""
+        moves = self.middles[..., :2].reshape(-1, 2)
+        return bool(np.ptp(moves, axis=0).max() < 1e-6)
+
+    @property
+    def length(self) -> float:
+        """Length of the longest path in the frame [sample]."""
+        zoom = max(self.motion.at(self.start).zoom, self.motion.at(self.start + self.seconds).zoom)
+        steps = np.diff(self.points, axis=0)
+        return float(np.hypot(steps[:, 0], steps[:, 1]).sum(axis=0).max()) * zoom
+
+    def shape(self, row: int, col: int, pieces: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return points of a checked sample's path relative to its middle, and the light of each piece."""
+        parts = np.linspace(0, 1, pieces + 1)
+        points = self.points[:: FINEST // pieces, :, row, col]
+        light = self.light(self.checked[0][row], parts)
+        middle = light @ ((points[1:] + points[:-1]) / 2)
+        return points - middle, light
+
+    @cached_property
+    def pieces(self) -> int:
+        """Fewest pieces that the middle sample's path consists of."""
+        true = _probed(*self.shape(CHECKED // 2, CHECKED // 2, FINEST))
+        for count in PIECES:
+            if (
+                np.abs(_probed(*self.shape(CHECKED // 2, CHECKED // 2, count)) - true).max()
+                < STRAIGHT
+            ):
+                break
+        return count
+
+    @property
+    def middle_shape(self) -> tuple[np.ndarray, np.ndarray]:
+        """The shape of the middle sample's path."""
+        return self.shape(CHECKED // 2, CHECKED // 2, self.pieces)
+
+    @cached_property
+    def probed(self) -> np.ndarray:
+        """Transfer function of the middle sample's path at the frequencies of probes."""
+        return _probed(*self.middle_shape)
+
+    def shape_error(self, probes: Probes) -> Bound:
+        """Return the error of one shape for all samples."""
+        worst = np.zeros(self.probed.shape)
+        for row in range(CHECKED):
+            for col in range(CHECKED):
+                own = _probed(*self.shape(row, col, FINEST))
+                np.maximum(worst, np.abs(own - self.probed), out=worst)
+        return self._of_mean(probes, probes.bound(probes.exact * worst.astype(np.float32)))
+
+    def shear_error(self, probes: Probes, displaced: float = 0.0) -> Bound:
+        """Return the error of light from other rows, which is taken at the time of its own row.
+
+        The lens's kernels are sheared: a row d samples away is d times the camera's step from row to row off.
+
+        Args:
+            probes: Probes of the scene at rest.
+            displaced: Rows by which the lens displaces the picture, at most [sample].
+        """
+        step = self.row_time / self.scene.samples_per_pixel / self.seconds
+        moves = (self.points[-1] - self.points[0]).reshape(2, -1) * step
+        down, right = moves[:, np.hypot(*moves).argmax()]
+        if not (down or right):
+            return Bound()
+        y, x = np.meshgrid(
+            np.fft.fftfreq(SIDE, 1 / SIDE), np.arange(SIDE // 2 + 1.0), indexing="ij"
+        )
+        places = np.stack([y + down * y + right * x, x])
+        sheared = np.stack(
+            [
+                scipy.ndimage.map_coordinates(one, places, order=1, mode="grid-wrap")
+                for one in probes.tables
+            ]
+        )
+        seen = replace(probes, spectra=self.smear(probes.spectra))
+        bounds = [seen.bound(replace(seen, tables=sheared).exact - seen.exact)]
+        if displaced:
+            bounds.append(seen.shift_error(displaced * float(np.hypot(down, right))))
+        return self._of_mean(probes, sum_errors(bounds))
+
+    def smear(self, spectra: np.ndarray) -> np.ndarray:
+        """Return transforms of windows after the smear along the middle sample's path."""
+        return (spectra * self.probed).astype(np.complex64)
+
+    def view_error(self, probes: Probes, is_convolved: bool) -> Bound:
+        """Return the error of interpolated places. Fourier transforms displace without error."""
+        if is_convolved and self.is_common:
+            return Bound()
+        view = self.motion.at(self.start + self.seconds / 2)
+        seen = replace(probes, spectra=self.smear(probes.spectra))
+        return seen.resampling_error(view, self.scene.samples_per_pixel)
+
+    def _of_mean(self, probes, bound):
+        """Return a bound relative to the mean light, which has less contrast than the scene."""
+        before = probes.windows.weight @ np.square(probes.signal).mean(axis=(1, 2, 3))
+        seen = replace(probes, spectra=self.smear(probes.spectra))
+        after = probes.windows.weight @ np.square(seen.signal).mean(axis=(1, 2, 3))
+        factor = float(np.sqrt(before / after)) if 0 < after < before else 1.0
+        return replace(bound, rms=bound.rms * factor)
+
+
+def transfer(fy, fx, points: np.ndarray, light: np.ndarray) -> np.ndarray:
+    """Return the transfer function of a mean along a path of straight pieces.
+
+    Each piece is a box along a line: the wave exp(2 pi i f x) becomes itself times sinc(f step) and the phase of the
+    piece's middle.
+
+    Args:
+        fy: Frequencies along rows [cycle/sample], shape (rows, 1).
+        fx: Frequencies along columns, shape (cols,).
+        points: Ends of the pieces, places looked at relative to the sample, shape (n + 1, 2).
+        light: Share of the light of each piece, shape (n,).
+
+    Returns:
+        Complex, shape (rows, cols).
+    """
+    total = np.zeros(np.broadcast_shapes(fy.shape, fx.shape), np.complex128)
+    for start, end, share in zip(points[:-1], points[1:], light, strict=True):
+        (y, x), (down, right) = (start + end) / 2, end - start
+        phase = np.exp(2j * np.pi * fy * y) * np.exp(2j * np.pi * fx * x)
+        total += share * phase * np.sinc(fy * down + fx * right)
+    return total
+
+
+def convolve(device: Device, path: Path) -> Scene:
+    """Return the mean light by one transfer function. See the module.
+
+    Args:
+        device: Device that computes it.
+        path: The path.
+
+    Returns:
+        A scene in host memory, with a plain view.
+    """
+    scene, border = path.scene, _border(path.scene)
+    content, light, response = _mixed(device, scene.content)
+    points, shares = path.middle_shape
+    nodes = path.middles
+    common = nodes[NODES[0] // 2, NODES[1] // 2, :2]
+    own = nodes - np.array([*np.rint(common), 0])
+    if path.is_common:  # the fraction of the displacement is part of the transfer function
+        points = points + (common - np.rint(common))
+        own[..., :2] = 0
+    # surroundings that paths and displacements see
+    seen = np.abs(points).max(axis=0) + SPARE
+    for axis, edges in enumerate(_edges(content.shape, NODES)):
+        places = own[..., axis] + (edges[:, None] if axis == 0 else edges)
+        seen[axis] += max(0.0, np.abs(places).max() - content.shape[axis] / 2)
+    pad = np.ceil(seen).astype(int)
+    shape = tuple(int(n + 2 * more) for n, more in zip(content.shape, pad, strict=True))
+    whole = np.zeros((4, 4, 3))
+    whole[..., :2], whole[..., 2] = np.rint(common) - pad, 1
+    wide = distort(light, device.array(whole[None]), shape, border, device=device)
+    rows, cols = (fft_length(n) for n in shape)
+    fy, fx = np.fft.fftfreq(rows)[:, None], np.arange(cols // 2 + 1) / cols
+    table = transfer(fy, fx, points, shares)
+    for i in (0, rows // 2) if rows % 2 == 0 else (0,):  # frequencies that are their own opposites
+        for j in (0, cols // 2) if cols % 2 == 0 else (0,):
+            table[i, j] = table[i, j].real
+    table = np.ascontiguousarray(table).view(np.float64).astype(np.float32)[None, None]
+    table, one, found = device.array(table), np.ones((1, 1), np.float32), []
+    for plane in range(light.shape[0]):
+        single = device.reshape(device.part(wide, plane), (1, *shape))
+        smeared = blur(single, table, one, "edge", (rows, cols), device=device)
+        found.append(device.reshape(smeared, shape))
+    own[..., :2] += pad
+    smeared = _look(device, device.stack(found), own, response, border, content.shape)
+    return _scene(device, scene, content, smeared)
+
+
+def accumulate(device: Device, path: Path, count: int) -> Scene:
+    """Return the mean light as a sum of views, linear between them. See the module.
+
+    Args:
+        device: Device that computes it.
+        path: The path.
+        count: Number of views, 2 or more.
+
+    Returns:
+        A scene in host memory, with a plain view.
+    """
+    scene, parts = path.scene, np.linspace(0, 1, count)
+    content, light, response = _mixed(device, scene.content)
+    rows, cols = content.shape
+    if path.flicker is None:
+        own = shutter_weights(parts, 1, 1.0, 0.0)
+        weights = np.repeat(own, rows, 0)
+    else:
+        opens = path.opens(np.arange(rows) - (rows - 1) / 2)
+        times = parts * path.seconds
+        weights = np.concatenate(
+            [
+                shutter_weights(times, 1, path.seconds, 0.0, 0.0, path.flicker.since(float(one)))
+                for one in opens
+            ]
+        )
+        weights /= np.maximum(weights.sum(axis=1, keepdims=True), 1e-30)
+    total = None
+    for first in range(0, count, CHUNK):
+        views = [
+            _look(device, light, _nodes(path, part), response, _border(scene), content.shape)
+            for part in parts[first : first + CHUNK]
+        ]
+        own = weights[:, first : first + CHUNK]
+        if total is not None:
+            views.insert(0, total)
+            own = np.column_stack([np.ones(rows), own])
+        stacked = device.reshape(device.stack(views), (len(views), light.shape[0] * rows, cols))
+        total = shutter(stacked, np.tile(own, (light.shape[0], 1)), device=device)
+        total = device.reshape(total, (light.shape[0], rows, cols))
+    return _scene(device, scene, content, total)
+
+
+def _probed(points, light):
+    """Return a path's transfer function at the frequencies of probes."""
+    return transfer(np.fft.fftfreq(SIDE)[:, None], np.arange(SIDE // 2 + 1) / SIDE, points, light)
+
+
+def sum_errors(bounds: list[Bound]) -> Bound:
+    """Return errors of one cause in several parts together."""
+    return Bound(*(sum(figures) for figures in zip(*(one.figures for one in bounds), strict=True)))
+
+
+def _border(scene):
+    """Return how the samples of a scene go on outside."""
+    return "edge" if scene.border == "scene" else scene.border
+
+
+def _mixed(device, content) -> tuple[Content, object, np.ndarray]:
+    """Return content that interpolates, its planes on the device, and the brightness of each plane.
+
+    Materials become the planes of their spectra, or of the wavelengths if these are fewer.
+    """
+    stored, table, spectra = store(device, content), None, content.entry_spectra
+    is_spectral = content.is_spectral
+    if content.labels is not None:
+        is_spectral = len(spectra) > spectra.shape[1]
+        table = spectra.T if is_spectral else np.eye(len(spectra))
+    light = planes(device, table, stored)
+    shape = light.shape[0], *content.shape
+    samples = np.broadcast_to(np.float32(0), shape)
+    response = spectra.sum(axis=1) if not is_spectral else np.ones(shape[0])
+    made = Cube(content.wavelengths, samples) if is_spectral else None
+    return made or Basis(content.wavelengths, samples, spectra), light, response
+
+
+def _scene(device, scene, content, light) -> Scene:
+    """Return a scene with other planes of light."""
+    values = np.array(device.numpy(light), np.float32)
+    if content.is_spectral or np.all(content.entry_spectra >= 0):
+        np.maximum(values, 0, out=values)  # waves ring next to steps
+    made = replace(scene, content=content)
+    return made.stored(**{content.samples[-1]: values})
+
+
+def _look(device, light, nodes, response, border, shape):
+    """Return planes (planes, *shape) as seen at the places of nodes."""
+    bright = integrate(light, np.asarray(response, np.float32)[None], device=device)
+    return distort(light, device.array(nodes[None]), shape, border, light=bright, device=device)
+
+
+def _edges(shape, nodes):
+    """Return the rows and columns of nodes, from edge to edge of the samples, relative to the middle."""
+    return [np.linspace(-n / 2, n / 2, one) for n, one in zip(shape, nodes, strict=True)]
+
+
+def _nodes(path, part):
+    """Return nodes for `optics.distort` at a part of each sample's exposure."""
+    y, x = _edges(path.scene.content.shape, NODES)
+    places = path.places(y, x, part)
+    return np.stack([places[0] - y[:, None], places[1] - x, np.ones_like(places[0])], axis=-1)

@@ -1,0 +1,122 @@
+"""Long paths during an exposure: against means over 64 times as many instants of a scene in closed form."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cameras import PHONE
+from devices import KINDS
+
+import gpusim as gs
+from gpusim.domain.scene import Scene
+
+SHAPE, MARGIN, SECONDS, START = (24, 36), 280, 0.01, 0.002
+# amplitude, cycles per sample along rows and columns, phase: of two wavelengths each
+WAVES = ((0.35, 0.011, 0.023, 0.3), (0.3, -0.03, 0.008, 1.1), (0.2, 0.05, -0.06, 2.0))
+WAVELENGTHS = np.array([520.0, 560.0, 600.0])
+COLOR = np.array([1.0, 0.7, 0.4])
+LIGHT = gs.chart("flat").illuminant
+
+
+def camera(row_time):
+    return replace(PHONE, sensor=replace(PHONE.sensor, row_time=row_time))
+
+
+def places():
+    """Samples of the scene with its margin, relative to the middle."""
+    return np.meshgrid(
+        *(np.arange(n + 2 * MARGIN) - (n - 1) / 2 - MARGIN for n in SHAPE), indexing="ij"
+    )
+
+
+def light(y, x):
+    """The scene in closed form, 0 .. 2."""
+    return 1 + sum(a * np.cos(2 * np.pi * (f * y + g * x) + p) for a, f, g, p in WAVES)
+
+
+def scene_of(values, margin=MARGIN):
+    cube = (COLOR[:, None, None] * values).astype(np.float32)
+    return Scene(gs.Cube(WAVELENGTHS, cube), LIGHT, border="scene", margin=margin)
+
+
+def truth(simulator, motion, row_time, flicker=None, count=4096, margin=80):
+    """Mean electrons: of each row an own scene, the mean over its exposure.
+
+    The margin is as wide as the lens reaches. A wave's mean over a translation is the mean of its phases at `count`
+    instants; of other views each instant is evaluated.
+    """
+    y, x = (
+        part[MARGIN - margin : -(MARGIN - margin), MARGIN - margin : -(MARGIN - margin)]
+        for part in places()
+    )
+    parts, shares = (np.arange(count) + 0.5) / count, np.full(count, 1 / count)
+    if (
+        motion.roll or motion.shake
+    ):  # 48 points of Gauss for up to four cycles of a wave: exact to 1e-12
+        parts, shares = np.polynomial.legendre.leggauss(48)
+        parts, shares = (parts + 1) / 2, shares / 2
+    rows = []
+    for row in range(SHAPE[0]):
+        opened = START + row * row_time
+        times = opened + parts * SECONDS
+        weights = np.ones(len(parts))
+        if flicker is not None:
+            weights = 1 + flicker.depth * np.cos(
+                2 * np.pi * (flicker.frequency * times + flicker.phase)
+            )
+        weights = weights * shares
+        views = [motion.at(time) for time in times]
+        if len({(view.zoom, view.rotation) for view in views}) == 1:
+            shifts = np.array([view.shift for view in views])
+            total = np.full(y.shape, weights.sum())
+            for a, f, g, p in WAVES:
+                turned = (weights * np.exp(2j * np.pi * shifts @ (f, g))).sum()
+                total += a * (turned * np.exp(1j * (2 * np.pi * (f * y + g * x) + p))).real
+        else:
+            total = sum(
+                w * light(*view.place(y, x)) for w, view in zip(weights, views, strict=True)
+            )
+        rows.append(np.asarray(simulator.expose(scene_of(total, margin), SECONDS).mean)[row])
+    return np.array(rows, np.float64)
+
+
+def check(exposure, expected):
+    """The error stays below what is stated. Returns it."""
+    error = np.asarray(exposure.mean, np.float64) - expected
+    rms = np.sqrt(np.mean(error**2) / np.mean(expected**2))
+    bounds = exposure.plan.account.bounds
+    # 2e-5: float32 transforms of both frames, and the light from beyond the truth's margin
+    assert rms < bounds["shutter"].rms + bounds["view"].rms + 2e-5, (rms, bounds)
+    return rms
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_two_hundred_pixels_in_an_exposure(device):
+    """A pan of 200 pixels is one picture, behind a global shutter without error."""
+    motion = gs.Motion(pan=(6000, -19000))  # 199 samples in 10 ms
+    simulator = gs.Simulator(camera(0.0), device=device)
+    exposure = gs.expose_motion(simulator, scene_of(light(*places())), motion, SECONDS, START)
+    assert "199 samples: one transfer function" in exposure.plan.models["sensor.shutter"]
+    assert exposure.plan.account.bounds["shutter"].rms < 1e-6
+    check(exposure, truth(simulator, motion, 0.0))
+
+
+CASES = {
+    "pan": (gs.Motion(pan=(1500, 4000)), None, "one transfer function"),
+    "flicker": (gs.Motion(pan=(0, 6000)), gs.Flicker(100, 0.9, phase=0.2), None),
+    "shake": (gs.Motion(shake=60, seed=4), None, None),
+    "turn": (gs.Motion(pan=(0, 3000), roll=8.0), None, "views"),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("row_time", [0.0, 4e-5])
+def test_a_smear_errs_no_more_than_it_says(case, row_time):
+    motion, flicker, words = CASES[case]
+    simulator = gs.Simulator(camera(row_time), device="opencl:0")
+    scene = scene_of(light(*places()))
+    exposure = gs.expose_motion(simulator, scene, motion, SECONDS, START, flicker=flicker)
+    found = exposure.plan.models["sensor.shutter"]
+    assert words is None or words in found
+    check(exposure, truth(simulator, motion, row_time, flicker))
+    assert exposure.plan.account.bounds["shutter"].rms < 0.02
