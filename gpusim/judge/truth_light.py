@@ -14,6 +14,7 @@ import scipy
 
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
+from gpusim.domain.scene import IMAGE
 from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
 from gpusim.optics.lens import open_lens
 from gpusim.optics.weights import electrons_per_content
@@ -66,6 +67,8 @@ def placed_light(camera, scene) -> np.ndarray:
     """
     light = scene.content.on_host().bands_at(slice(None))
     distortion = camera.optics.distortion
+    if scene.projection == IMAGE:
+        distortion = None  # displaced already
     if distortion is None and scene.view.is_plain:
         return light
     rows, cols = light.shape[1:]
@@ -178,9 +181,9 @@ def falloff_gain(camera, scene) -> np.ndarray:
         move - at for move, at in zip(sensor.displacement, axis_of(camera, shape), strict=True)
     )
     gain = np.ones(shape)
-    if optics.relative_illumination == "cos4":
+    if optics.relative_illumination == "cos4" and scene.projection != IMAGE:
         gain = (1 + _tangent(camera, scene) ** 2) ** -2
-    elif optics.relative_illumination != "none":
+    elif not isinstance(optics.relative_illumination, str):
         table = optics.relative_illumination
         gain = relative_illumination(table, shape, pitch, distance, displacement=from_axis)
         gain = gain / _flat_of_blur(camera, scene, from_axis)
