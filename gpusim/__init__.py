@@ -62,6 +62,7 @@ _NAMES = {
     "io.scene.scenes": ("open_scene", "save_scene", "picture"),
     "measure": ("photon_transfer",),
     "optics.labels": ("carry_labels",),
+    "optics.panorama": ("view_panorama",),
     "pipeline.exposure": ("Exposure",),
     "pipeline.frame": ("Frame",),
     "pipeline.loop": ("Loop",),
@@ -125,6 +126,7 @@ if TYPE_CHECKING:
     from gpusim.domain.account import Tolerance as Tolerance
     from gpusim.domain.scene import View as View
     from gpusim.optics.labels import carry_labels as carry_labels
+    from gpusim.optics.panorama import view_panorama as view_panorama
     from gpusim.pipeline.exposure import Exposure as Exposure
     from gpusim.pipeline.frame import Frame as Frame
     from gpusim.io.scene.arrays import scene_from as scene_from

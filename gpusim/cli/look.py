@@ -26,7 +26,7 @@ CHARTS = {"sfr": "slanted-edge"}  # the scene if none is named; of other panels 
 SIZE = 480, 320  # its columns and rows
 LENS = "f_number", "focus"  # controls that change the optical image
 SENSOR = "exposure", "iso"  # controls that change raw values, too
-OF_CAMERA = "border", "fov", "depth"  # options of a scene that only a camera sees
+OF_CAMERA = "border", "fov", "depth", "projection"  # options of a scene that only a camera sees
 TEXTS = {
     "help": "plots of a scene, a camera or a frame, in a file or a window",
     "description": "Needs matplotlib: pip install 'gpusim[plot]'.",

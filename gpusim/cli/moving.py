@@ -148,7 +148,16 @@ class MovingRequest(Request):
         if films and len(names) > 1:
             raise BadFile(films[0], "a video among several scenes; give only the video")
         if films:
-            for name in ("size", "band", "wavelengths", "kind", "scale", "fov", "depth"):
+            for name in (
+                "size",
+                "band",
+                "wavelengths",
+                "kind",
+                "scale",
+                "fov",
+                "depth",
+                "projection",
+            ):
                 self.refuse(name, "a video has its own size and colours, and no depth")
         else:
             self.refuse("transfer", f"only a video has codes ({', '.join(SUFFIXES)})")

@@ -31,9 +31,7 @@ SCENE_HELP = (
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
 CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling")  # of a camera
-SCENE_OPTIONS = (
-    "size light luminance border samples_per_pixel fov depth wavelengths kind scale band".split()
-)
+SCENE_OPTIONS = "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection band".split()
 
 
 def option(
@@ -361,6 +359,13 @@ class Request(Options):
         "each pixel's ray (Mitsuba; needs --fov); none: ignore them (default: axis)",
     )
 
+    projection: str | None = option(
+        choices=("plane", "equirectangular"),
+        help="what the samples of the scene are: places in a pinhole's picture, or the directions of "
+        "a panorama (all around, 2:1), which the camera sees in --size or its calibration's "
+        "(default: the file's)",
+    )
+
     def open_scene(
         self, name: str | None = None, unused: tuple[str, ...] = (), **changes: Any
     ) -> "Scene":
@@ -374,12 +379,20 @@ class Request(Options):
         Raises:
             GpusimError: As `open_scene` does.
         """
+        from gpusim.domain.scene import PANORAMA
         from gpusim.io.scene.scenes import open_scene
+        from gpusim.optics.panorama import view_panorama
 
         names = [part for part in SCENE_OPTIONS if part not in unused]
         settings = {part: getattr(self, part) for part in names}
         settings["bands"] = dict(_channel(text) for text in settings.pop("band"))
-        return open_scene(self.scene if name is None else name, **(settings | changes))
+        size = settings.get("size")
+        if settings.get("projection") == PANORAMA:
+            settings["size"] = None
+        scene = open_scene(self.scene if name is None else name, **(settings | changes))
+        if scene.projection != PANORAMA:
+            return scene
+        return view_panorama(scene, self.open_camera(), size=size)
 
     def open_camera(self, *controls: str) -> "Camera":
         """Return the camera with the controls that the command line sets.

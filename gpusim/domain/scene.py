@@ -110,6 +110,8 @@ class View:
 
 
 BOXES, FLOW = "boxes", "flow"  # labels that are no maps of whole numbers
+# samples on the plane of a pinhole's picture; directions; places in a lens's image
+PLANE, PANORAMA, IMAGE = "plane", "equirectangular", "image"
 BORDERS = ("zero", "edge", "reflect", "scene")
 
 
@@ -158,6 +160,11 @@ class Scene(Pictured):
             numbers, shape (rows, cols), for example "instance" or "semantic"; "flow", where each
             sample's point goes until the next frame, (rows, cols, 2) [sample] down and across;
             "boxes", (n, 4), top, left, bottom and right edges [sample]. They include the margin.
+        projection: "plane": samples are places in a pinhole's picture. "equirectangular": they are
+            directions, longitudes along the columns (all 360 degrees) and latitudes along the rows
+            (180 degrees from above to below); a camera sees it by `gpusim.view_panorama`. "image": places in
+            the image of a lens, see `image_of`; `gpusim.view_panorama` makes such scenes.
+        image_of: Settings of the lens whose image the samples are.
         notes: Deviations from the file it was read from; reports repeat them.
 
     Raises:
@@ -178,6 +185,8 @@ class Scene(Pictured):
     view: View = field(default_factory=View)
     notes: tuple[str, ...] = ()
     labels: Mapping[str, np.ndarray] = field(default_factory=dict)
+    projection: str = PLANE
+    image_of: Any = None
 
     def __post_init__(self):
         if not isinstance(self.content, Content):
@@ -219,6 +228,29 @@ class Scene(Pictured):
         self._check_view()
         self._check_layers()
         self._check_labels()
+        self._check_projection()
+
+    def _check_projection(self):
+        if self.projection not in (PLANE, PANORAMA, IMAGE):
+            raise UnknownName("projection", self.projection, (PLANE, PANORAMA))
+        if (self.projection == IMAGE) != (self.image_of is not None):
+            raise BadData(
+                f'{self._label}: projection "{IMAGE}" is of scenes that gs.view_panorama makes; wanted "{PLANE}" '
+                f'or "{PANORAMA}"'
+            )
+        if self.projection != PANORAMA:
+            return
+        for name, is_set in (
+            ("depth", self.depth is not None),
+            ("a margin", self.margin > 0),
+            ("a view", not self.view.is_plain),
+            ("label flow", FLOW in self.labels),
+            ("label boxes", BOXES in self.labels),
+        ):
+            if is_set:
+                raise BadData(
+                    f"{self._label}: a panorama with {name}, wanted without; see gs.view_panorama"
+                )
 
     def _check_labels(self):
         if not isinstance(self.labels, Mapping):
@@ -396,6 +428,11 @@ def checked_scene(scene) -> Scene:
         raise BadData(
             f"scene: {type(scene).__name__}, wanted a Scene, for example from "
             + ("gs.scene_from, which takes arrays" if is_array(scene) else "open_scene or chart")
+        )
+    if scene.projection == PANORAMA:
+        raise BadData(
+            f"{scene.name} is a panorama: gs.view_panorama(scene, camera, size=(columns, rows)) is what a camera "
+            "sees of it"
         )
     return scene
 

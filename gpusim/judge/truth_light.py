@@ -14,6 +14,7 @@ import scipy
 
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
+from gpusim.domain.scene import IMAGE
 from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
 from gpusim.optics.lens import open_lens
 from gpusim.optics.outside import border_indices
@@ -80,13 +81,13 @@ def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
     """
     if light is None:
         light = scene.content.on_host().bands_at(slice(None))
-    if camera.optics.distortion is None and scene.view.is_plain:
+    model = _displacement_of(camera, scene)
+    if model is None and scene.view.is_plain:
         return light
     rows, cols = light.shape[1:]
     y, x = np.arange(rows) - (rows - 1) / 2, np.arange(cols) - (cols - 1) / 2
     source = _source_of(camera, scene, light.shape[1:])
     nodes, mass = np.zeros(1), np.ones(1)
-    model = _distortion_of(camera, scene.shape)
     if model is not None and _most_samples(source, y, x) > FINER:
         nodes, mass = (part / 2 for part in np.polynomial.legendre.leggauss(PARTS))
     total, flat = np.zeros(light.shape), np.zeros((rows, cols))
@@ -105,7 +106,7 @@ def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
 
 def placed_nearest(camera, scene, values) -> np.ndarray:
     """Return values (rows, cols) where the lens and the view put them, each of the nearest sample."""
-    if camera.optics.distortion is None and scene.view.is_plain:
+    if _displacement_of(camera, scene) is None and scene.view.is_plain:
         return values
     y, x = (np.arange(n) - (n - 1) / 2 for n in values.shape)
     places = _source_of(camera, scene, values.shape)(y[:, None], x)[:2]
@@ -124,7 +125,7 @@ def _source_of(camera, scene, shape):
     It also returns the area of the source relative to the image.
     """
     rows, cols = shape
-    model = _distortion_of(camera, scene.shape)
+    model = _displacement_of(camera, scene)
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
 
     def source(y, x):
@@ -216,9 +217,9 @@ def falloff_gain(camera, scene) -> np.ndarray:
         move - at for move, at in zip(sensor.displacement, axis_of(camera, shape), strict=True)
     )
     gain = np.ones(shape)
-    if optics.relative_illumination == "cos4":
+    if optics.relative_illumination == "cos4" and scene.projection != IMAGE:
         gain = (1 + _tangent(camera, scene) ** 2) ** -2
-    elif optics.relative_illumination != "none":
+    elif not isinstance(optics.relative_illumination, str):
         table = optics.relative_illumination
         gain = relative_illumination(table, shape, pitch, distance, displacement=from_axis)
         gain = gain / _flat_of_blur(camera, scene, from_axis)

@@ -12,7 +12,7 @@ from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
 from gpusim.domain.distortion import Model, fit_to_frame, ideal
 from gpusim.domain.mosaics import bin_mosaic
-from gpusim.domain.scene import BOXES, FLOW, Scene
+from gpusim.domain.scene import BOXES, FLOW, IMAGE, Scene
 from gpusim.optics.outside import border_indices
 from gpusim.optics.sampling import frame_start
 
@@ -82,6 +82,8 @@ class _Placing:
     def of(cls, scene: Scene, camera: Camera) -> "_Placing":
         optics, sensor = camera.optics, camera.sensor
         distortion = optics.distortion
+        if scene.projection == IMAGE:
+            distortion = None  # the samples are displaced already
         if distortion is not None:
             distortion = fit_to_frame(distortion, scene.shape, sensor.pixel_pitch)
         stride, _ = bin_mosaic(sensor.cfa_indices, sensor.binning)

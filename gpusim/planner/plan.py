@@ -266,7 +266,14 @@ class Plan:
             ("samples", own.content.shape, scene.content.shape),
             *(
                 (name, getattr(own, name), getattr(scene, name))
-                for name in ("border", "margin", "fov", "samples_per_pixel")
+                for name in (
+                    "border",
+                    "margin",
+                    "fov",
+                    "samples_per_pixel",
+                    "projection",
+                    "image_of",
+                )
             ),
         ]
         return next(

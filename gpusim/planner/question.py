@@ -11,11 +11,12 @@ from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.distortion import Model, fit_to_frame
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
-from gpusim.domain.scene import Scene
+from gpusim.domain.scene import IMAGE, Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.lens import Lens, open_lens
+from gpusim.optics.panorama import lens_key
 from gpusim.optics.tables import Caching, Tables
 from gpusim.optics.weights import check_light, electrons_per_content
 from gpusim.planner.facts import Facts
@@ -110,6 +111,8 @@ class Question:
         if isinstance(distortion, Framed):
             x, y = (distortion.radius / sensor.pixel_pitch * at for at in distortion.middle)
             axis = y, x
+        if scene.projection == IMAGE:  # its samples are displaced already
+            distortion = None
         lens = open_lens(
             optics,
             pitch,
@@ -162,6 +165,10 @@ class Question:
                 "up to a quarter of the frame; or move the scene",
             )
         made = cls(scene, camera, facts, tolerance, **asked, weights=weights)
+        if scene.projection == IMAGE and scene.image_of != lens_key(camera):
+            raise BadData(
+                f"{scene.name} is the image of another lens than {camera.name}'s: gs.view_panorama(panorama, camera)"
+            )
         off_grid = max(abs(down - round(down)), abs(across - round(across)))
         if not made.is_blurred and made.ratio == 1 and off_grid > 1e-9:
             raise OutOfRange(

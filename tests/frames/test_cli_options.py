@@ -54,6 +54,7 @@ SCENE = {
     "scale": (PLANES, "--scale 2"),
     "fov": (f"{SPACE} --depth ray --fov 30", "--fov 60"),
     "depth": (f"{SPACE} --focus 0.5", "--depth none"),
+    "projection": (CHART, "--projection equirectangular"),
 }
 MOVING = {
     "frames": (PHOTO, "--frames 3"),
@@ -444,7 +445,7 @@ def test_an_option_without_effect_is_refused(command, base, option, outcome):
 OF_LENS = {"f_number", "focus"}
 OF_SENSOR = OF_LENS | {"exposure", "iso"}
 OF_CONTENT = set("size samples_per_pixel light luminance band wavelengths kind scale".split())
-OF_SCENE = OF_CONTENT | {"border", "fov", "depth", "camera"}
+OF_SCENE = OF_CONTENT | {"border", "fov", "depth", "projection", "camera"}
 OF_FRAME = OF_SCENE | OF_SENSOR | {"seed", "device", "tolerance", "guaranteed", "strict"}
 USED = {
     "scene": OF_CONTENT,

@@ -12,6 +12,7 @@ gpusim's own keys, all arrays band-major:
                                reflectance; without these two it is radiance, in the same unit
     kind                       "reflectance" of `cube` with an unknown light; else "radiance"
     border, margin, fov_rad, depth_m, name, samples_per_pixel  as in Scene
+    projection                 "plane" or "equirectangular"
     label_NAME                 labels of Scene, for example label_instance, label_flow, label_boxes
 
 Also read are archives made from ISETCam's scenes, whose arrays are pixel-major: `photons` (rows,
@@ -27,7 +28,7 @@ import numpy as np
 from gpusim.domain.content import Basis, Cube, Materials
 from gpusim.domain.errors import BadFile, format_value
 from gpusim.domain.illuminated import Illuminated
-from gpusim.domain.scene import Scene, unit_light
+from gpusim.domain.scene import IMAGE, PLANE, Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.archive import NUMBERS, TEXT, open_archive, write_archive
 from gpusim.io.files import name_in_errors
@@ -58,6 +59,8 @@ def write_npz(path, scene: Scene):
     }
     if scene.fov is not None:
         arrays["fov_rad"] = scene.fov
+    if scene.projection != PLANE:
+        arrays["projection"] = scene.projection
     if scene.depth is not None:
         arrays["depth_m"] = scene.depth
     arrays |= {f"{LABEL}{name}": label for name, label in scene.labels.items()}
@@ -69,6 +72,8 @@ def check_whole(path, scene: Scene):
     if not scene.view.is_plain:
         why = f"{scene.name} has a view, which files cannot hold: write it without view"
         raise BadFile(path, why)
+    if scene.projection == IMAGE:
+        raise BadFile(path, f"{scene.name} is the image of a lens: write the panorama instead")
     if scene.layers:
         why = f"{scene.name} has {len(scene.layers)} layers; a file holds one picture and its depth"
         raise BadFile(path, why)
@@ -151,6 +156,7 @@ class _Archive:
             depth=depth,
             name=self.single("name", self.path.stem),
             samples_per_pixel=self.single("samples_per_pixel", 1.0),
+            projection=self.single("projection", PLANE),
             labels={
                 key.removeprefix(LABEL): self.label(key)
                 for key in sorted(self.stored)

@@ -20,7 +20,14 @@ from gpusim.io.scene.npz import check_whole
 
 ATTRIBUTE, DEPTH = "gpusimScene", "Z"
 # besides light and depth
-PARTS = {"border": str, "margin": int, "fov": float, "name": str, "samples_per_pixel": float}
+PARTS = {
+    "border": str,
+    "margin": int,
+    "fov": float,
+    "name": str,
+    "samples_per_pixel": float,
+    "projection": str,
+}
 COPIES = 2  # of the cube: samples, and samples in the unit of the file
 ROWS = 64  # converted to spectra in float64 at once
 

@@ -19,7 +19,7 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.memory import describe_array, type_of
-from gpusim.domain.scene import Scene, checked_scene
+from gpusim.domain.scene import PANORAMA, Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.scene.depth import check_depth
 from gpusim.io.scene.npz import write_npz
@@ -45,6 +45,7 @@ def open_scene(
     wavelengths: ArrayLike | None = None,
     kind: str | None = None,
     scale: float | None = None,
+    projection: str | None = None,
 ) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.
 
@@ -76,6 +77,7 @@ def open_scene(
             reflectance, unless an ENVI header has another.
         scale: number in the file that stands for 1. None is 1 for floats, the largest of uint8 and
             uint16, and the value of an ENVI header.
+        projection: "plane" or "equirectangular" (a panorama), see Scene; replaces the scene's.
 
     Returns:
         The scene.
@@ -124,6 +126,7 @@ def open_scene(
         known = [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
         raise UnknownName("scene", str(name_or_path), known)
     changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
+    changes["projection"] = projection
     changes = {key: value for key, value in changes.items() if value is not None}
     return dataclasses.replace(scene, **changes)
 
@@ -153,7 +156,9 @@ def save_scene(
         UnknownName: if the suffix is unknown.
         DoesNotFit: if the cube does not fit into memory.
     """
-    suffix, scene = Path(path).suffix.lower(), checked_scene(scene)
+    if not (isinstance(scene, Scene) and scene.projection == PANORAMA):
+        checked_scene(scene)
+    suffix = Path(path).suffix.lower()
     if suffix == ".exr":
         write_scene_exr(path, scene, radiance=radiance, half=half)
     elif suffix != ".npz":

@@ -12,6 +12,7 @@ from gpusim.domain.account import SAFETY, UNKNOWN, Bound, Tolerance, total
 from gpusim.domain.calibration import Calibration, Framed
 from gpusim.domain.distortion import Model, ideal
 from gpusim.domain.errors import OutOfRange
+from gpusim.domain.scene import IMAGE
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.geometry import (
     DistortionGrid,
@@ -202,6 +203,11 @@ def flat_on_axis(distortion: Model) -> float:
 def describe_calibration(question: Question, notes: Notes):
     """Note the parts of a calibration that replace the scene's own field of view."""
     calibration = question.optics.distortion
+    if question.scene.projection == IMAGE:
+        notes.models["optics.distort"] = (
+            "a panorama, seen through the lens: radiance of each chief ray's direction, area weighting"
+        )
+        return
     if not isinstance(calibration, Calibration):
         return
     if "optics.distort" in notes.models:
@@ -246,7 +252,7 @@ def falloff_of(
             field = _flat_of_blur(question, from_axis, notes)
             curve = curve / field
         parts["relative illumination as given"] = curve
-    else:
+    elif scene.projection != IMAGE:  # else its light has it
         if scene.fov:
             slope = 2 * np.tan(scene.fov / 2) * question.ratio / scene.samples[1]
         else:
