@@ -6,14 +6,22 @@ times the median stays in the planes at the median, and its excess becomes a poi
 own spectrum, whose kernel is summed in the image itself, without transforms. It never wraps around.
 The border's rule holds for it too: a mirrored border mirrors it. A pixel at the edge of a picture
 whose edge continues would become a line of light, and is not split.
+
+A clear circular pupil in focus has kernels of its own (`point_kernels`). Any other lens has cores
+that are integrated exactly, at the point's place in the field, and beyond them the light that the
+rim of its pupil spreads (`lens_kernels`, `gpusim.optics.points`). Measured spreads end.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil, pi
 
 import numpy as np
+import scipy
 from scipy.special import j1
 
 from gpusim.domain.content import Content
+from gpusim.optics import points
+from gpusim.optics.lens import Lens, MeasuredLens, PupilLens
 
 THRESHOLD = 100.0  # times the median
 MOST = 64  # points; others stay in the planes, and their error is reported
@@ -22,6 +30,14 @@ TRANSFORM_ERROR = 2.5e-7  # of a float32 transform, over the field's root mean s
 NEGLIGIBLE = 1e-6  # of the median: smaller contributions of a point are left out
 CORE = 32  # [pixel] kernels are tabled pixel by pixel up to here, by radius beyond
 PER_RING = 64  # samples of a radial table to a diffraction ring
+# of any pupil: half sides of exact cores, the least in q and in radii of the rays through the rim, and waves summed for
+# all of them: a second on a core of Zen 4
+CORES = (8, 12, 16, 24, 32, 48, 64, 96, 128)
+LEAST_RINGS, LEAST_RAYS, MOST_WAVES = 12.0, 1.5, 1.5e8
+MOST_SPOTS = 32  # places in the field that have kernels of their own
+FINER = 2.0  # parts of a pixel to a diffraction ring at least, 8 parts at most
+PROBED = 12  # rows and columns at which the light beyond a core is compared with exact light
+ON_AXIS = np.zeros((1, 4))
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,7 +47,9 @@ class Highlights:
     places: rows and columns, int (N, 2), counted from the frame's first pixel; mirror images lie outside. light: which
     of the spectra, int (N,). strength: times that spectrum, (N,). spectra: (K, L). reach: farthest pixel each adds to
     [pixel], int (N,). residue: local error, over the median, from bright pixels beyond the MOST that stayed in the
-    planes. missing: what mirror images beyond the reach would give to every pixel, in the unit of brightness.
+    planes. missing: what mirror images beyond the reach would give to every pixel, in the unit of brightness. spot:
+    which of the spots, int (N,). spots: field point (y, x) and the image's displacement from the pixel (rows, cols)
+    [pixel] for which there are kernels, (P, 4). core: half side of the kernels that are exact [pixel].
     """
 
     places: np.ndarray
@@ -41,6 +59,9 @@ class Highlights:
     reach: np.ndarray
     residue: float
     missing: float
+    spot: np.ndarray
+    spots: np.ndarray
+    core: int = CORE
 
 
 def unsplit_error(brightness) -> float:
@@ -65,16 +86,21 @@ def median_of(brightness) -> float:
     return float(np.median(brightness[brightness > 0]))
 
 
-def split_highlights(content: Content, brightness, q: float, margin: int, border: str):
+def split_highlights(
+    content: Content, brightness, q: float, margin: int, border: str, most: int = MOST, end: int = 0
+):
     """Return the content without its highlights, and the highlights (None if none can be split off).
 
     Args:
         content: The content.
         brightness: Of the content, see `Content.brightness`; written to: without the highlights
             on return.
-        q: Largest wavelength times f-number over pitch.
+        q: Largest wavelength times f-number over pitch; of another pupil, that of the clear circle
+            with the same tail.
         margin: Of the scene around the frame [pixel].
         border: "zero", "edge" or "reflect".
+        most: Points that are split off at most.
+        end: Pixel at which kernels end; 0: they do not.
     """
     median = median_of(brightness)
     bright = np.flatnonzero(brightness > THRESHOLD * median)
@@ -88,7 +114,7 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
         images = MOST * (2 * (longest // high) + 1) * (2 * (longest // wide) + 1)
         single[:] = images <= MOST_IMAGES  # no narrow strip between two mirrors
     chosen = bright[single]
-    chosen = chosen[np.argsort(brightness.flat[chosen])[::-1][:MOST]]
+    chosen = chosen[np.argsort(brightness.flat[chosen])[::-1][:most]]
     if not len(chosen):
         return content, None
     rows, cols = np.unravel_index(chosen, brightness.shape)
@@ -113,13 +139,15 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
     floor = max(NEGLIGIBLE * median, 1e-12 * level.max())
     reach = np.ceil(np.cbrt(2 * q * level / (np.pi**3 * floor)))
     reach = np.minimum(np.maximum(reach, CORE), max(high, wide)).astype(np.int32)
+    if end:
+        reach = np.full(len(rows), end, np.int32)
     places = np.stack([rows, cols], axis=1)
     image = np.arange(len(rows))
     missing = 0.0
     if border == "reflect":
         # q / (pi^3 r^3) outside a square of half-width a has the integral 4 sqrt(2) a^-1 of it
         beyond = q / np.pi**3 * 4 * np.sqrt(2) * ((level - median) / reach).sum()
-        missing = float(beyond / brightness.size)
+        missing = 0.0 if end else float(beyond / brightness.size)
         for axis, n in enumerate((high, wide)):
             places, image = _mirror(places, image, axis, n, reach)
     return rest, Highlights(
@@ -130,6 +158,8 @@ def split_highlights(content: Content, brightness, q: float, margin: int, border
         reach[image],
         residue,
         missing,
+        np.zeros(len(image), np.int32),
+        ON_AXIS,
     )
 
 
@@ -154,18 +184,39 @@ def airy_density(radius, q):
 
 @dataclass(frozen=True, eq=False)
 class PointKernels:
-    """Pixel-integrated Airy patterns, one per wavelength.
+    """Pixel-integrated kernels of points, one per spot and wavelength.
 
-    cores: at whole pixels (dy, dx) up to CORE, shape (L, CORE + 1, CORE + 1). profiles: at radii 0, step, 2 step ...
-    [pixel], shape (L, n), averaged over the `parts`-th part of a pixel's side in the mean over all directions: a mean
-    of parts x parts of them is a pixel to 1e-3, from CORE on. spread: side of a part [pixel].
+    cores: at whole pixels (dy, dx), shape (P, L, n, n): from -n // 2 on, or of an Airy pattern from 0 on. profiles: at
+    radii 0, step, 2 step ... [pixel], shape (L, m), averaged over a part of a pixel in the mean over all directions: a
+    mean of the parts is a pixel to 1e-3 beyond the core. parts: of a pixel's height and width. spread: their sides
+    [pixel]. centres: middles of the profiles, (P, 2) [pixel]. streaks: of each wavelength, or none.
     """
 
     cores: np.ndarray
     profiles: np.ndarray
     step: float
-    parts: int
-    spread: float
+    parts: tuple[int, int]
+    spread: tuple[float, float]
+    centres: np.ndarray
+    streaks: tuple[points.Streaks, ...] = ()
+    width: float = 1.0
+    is_quarter: bool = False
+
+    def beyond(self, y, x) -> np.ndarray:
+        """Return the energy of pixels at (y, x) from a point, beyond the core, of every wavelength, (L, *shape)."""
+        y, x = y - self.centres[0, 0], x - self.centres[0, 1]
+        down, across = (
+            side * (np.arange(count) - (count - 1) / 2)
+            for side, count in zip(self.spread, self.parts, strict=True)
+        )
+        radius = np.hypot(y[..., None, None] + down[:, None], x[..., None, None] + across)
+        radii = self.step * np.arange(self.profiles.shape[1])
+        light = np.stack(
+            [np.interp(radius, radii, one).mean(axis=(-2, -1)) for one in self.profiles]
+        )
+        for own, found in zip(light, self.streaks, strict=False):
+            own += points.streak_light(found, y, x, self.width)
+        return light
 
 
 def point_kernels(q, aperture: float, reach: int) -> PointKernels:
@@ -192,7 +243,172 @@ def point_kernels(q, aperture: float, reach: int) -> PointKernels:
     margin = len(smooth) // 2
     padded = np.abs(step * np.arange(-margin, count + margin))
     profiles = np.stack([np.convolve(airy_density(padded, one), smooth, "valid") for one in q])
-    return PointKernels(cores, profiles[:, : len(radii)], step, parts, spread)
+    both = (parts, parts), (spread, spread)
+    centre = np.zeros((1, 2))
+    return PointKernels(
+        cores[None], profiles[:, : len(radii)], step, *both, centre, is_quarter=True
+    )
+
+
+def has_airy_kernels(lens: Lens) -> bool:
+    """Return whether kernels are Airy patterns, integrated over squares in the samples' middles."""
+    height, width = lens.aperture
+    return lens.is_airy and lens.is_uniform and height == width and not any(lens.displacement)
+
+
+def core_of(lens: Lens, wavelengths, spots: int, longest: int) -> int:
+    """Return the half side of exact kernels [pixel]; 0 if they would take too long.
+
+    Args:
+        lens: The lens.
+        wavelengths: [nm], shape (L,).
+        spots: Places that have kernels of their own.
+        longest: Pixels along the frame.
+    """
+    if not isinstance(lens, PupilLens):
+        return lens.least_size // 2 + 1
+    q = lens.q(wavelengths)
+    corner = lens.optics.waves(wavelengths[:1], 0.0 if lens.is_uniform else 1.0)[0]
+    slope = points.steepest(corner)
+    away = 2 * q[0] * slope
+    least = max(LEAST_RINGS * q.max(), LEAST_RAYS * away) + np.hypot(*lens.displacement)
+    found = 0
+    for half in CORES:
+        waves = spots * sum(points.work_of(one, half, slope) for one in q)
+        if half >= least and waves <= MOST_WAVES and (half <= longest or not found):
+            found = half
+            if lens.symmetry.is_round:
+                break  # the light beyond is known as well
+    return found
+
+
+def lens_kernels(lens: Lens, wavelengths, spots, core: int, reach: int) -> PointKernels:
+    """Return kernels of any lens.
+
+    Args:
+        lens: The lens, in front of the samples that are blurred.
+        wavelengths: [nm], shape (L,).
+        spots: See `Highlights`.
+        core: See `Highlights`.
+        reach: Farthest pixel of a kernel.
+    """
+    side = 2 * core + 1
+    if isinstance(lens, MeasuredLens):
+        cores = []
+        for y, x, down, across in spots.tolist():
+            moved = lens.displacement[0] - down, lens.displacement[1] - across
+            cores.append(replace(lens, displacement=moved).kernels(wavelengths, (y, x), side))
+        nothing = np.zeros((len(wavelengths), 2))
+        return PointKernels(
+            np.stack(cores), nothing, 1.0, (1, 1), (1.0, 1.0), np.zeros((len(spots), 2))
+        )
+    assert isinstance(lens, PupilLens)
+    cores, centres = zip(
+        *(lens.point_energies(wavelengths, spot, np.arange(-core, core + 1)) for spot in spots),
+        strict=True,
+    )
+    return _rim_kernels(lens, wavelengths, np.stack(cores), np.stack(centres), core, reach)
+
+
+def _rim_kernels(lens, wavelengths, cores, centres, core, reach):
+    """Kernels of a pupil with these cores: the light beyond them is that on the axis."""
+    q, waves, optics = lens.q(wavelengths), lens.optics.waves(wavelengths), lens.optics
+    parts = tuple(min(ceil(FINER * side / q.min()), 8) for side in lens.aperture)
+    spread = tuple(side / count for side, count in zip(lens.aperture, parts, strict=True))
+    step = max(q.min() / PER_RING, 1 / 256)
+    away = float(np.abs(centres).max())
+    radii = step * np.arange(ceil(np.sqrt(2) * (reach + away + 1) / step) + 2)
+    spots, diffuser = lens.spots, optics.diffuser / lens.pitch
+    profiles, lines = np.zeros((len(q), len(radii))), []
+    for own, one, wave in zip(profiles, q, waves, strict=True):
+        middle = points.rim_centre(optics.pupil, wave, one)
+        own[:] = points.round_profile(
+            optics.pupil, wave, one, middle, radii, spread, spots, diffuser
+        )
+        if optics.pupil.blades:
+            lines.append(
+                points.streaks(optics.pupil, wave, one, middle, lens.aperture, spots, diffuser)
+            )
+    width = points.corner_width(lens.aperture)
+    return PointKernels(cores, profiles, step, parts, spread, centres, tuple(lines), width)
+
+
+def beyond_errors(lens: Lens, wavelengths, weights, core: int) -> tuple[float, float]:
+    """Return the relative error of light beyond a core on the axis, in the mean and at most, of all channels.
+
+    Compared are pixels along the core's rim. weights: of the wavelengths in the channels, (C, L).
+    """
+    if not isinstance(lens, PupilLens):
+        return 0.0, 0.0
+    at = np.unique(np.round(np.linspace(-core, core, PROBED)).astype(int))
+    exact, centre = lens.point_energies(wavelengths, np.zeros(4), at)
+    made = _rim_kernels(lens, wavelengths, exact[None], centre[None], core, 2 * core)
+    y, x = np.meshgrid(at, at, indexing="ij")
+    outer = np.maximum(abs(y), abs(x)) >= 0.8 * core
+    seen = made.beyond(y[outer], x[outer])
+    light = np.maximum(weights, 0) @ exact[:, outer]
+    wrong = np.abs(np.maximum(weights, 0) @ seen - light)
+    light = np.maximum(light, 1e-300)
+    there = weights.max(axis=1) > 0
+    rms = np.sqrt((wrong**2).sum(axis=1) / (light**2).sum(axis=1))
+    return float(rms[there].max(initial=0)), float((wrong / light)[there].max(initial=0))
+
+
+def beyond_light(
+    lens: Lens, wavelength: float, lights: Highlights, levels, rows, cols
+) -> np.ndarray:
+    """Return the light that the brightest points give to pixels beyond their cores, (len(rows), len(cols)).
+
+    wavelength: that stands for all [nm]. levels: light of each point, (N,). rows, cols: as `Highlights.places`.
+    """
+    total = np.zeros((len(rows), len(cols)))
+    if not isinstance(lens, PupilLens):
+        return total
+    reach, nodes = int(lights.reach.max()), np.array([wavelength])
+    core = np.zeros((1, 1, 1, 1))
+    made = _rim_kernels(lens, nodes, core, np.zeros((1, 2)), lights.core, reach)
+    for n in np.argsort(levels)[::-1][:MOST]:
+        y, x = np.meshgrid(rows - lights.places[n, 0], cols - lights.places[n, 1], indexing="ij")
+        away = np.maximum(abs(y), abs(x))
+        seen = (away > lights.core) & (away <= lights.reach[n])
+        total[seen] += levels[n] * made.beyond(y[seen], x[seen])[0]
+    return total
+
+
+def mixed_kernels(kernels: PointKernels, lights: Highlights, weights) -> tuple[np.ndarray, dict]:
+    """Return which kernel each point has, int (N,), and the inputs of `optics.splat`: kernels in channels.
+
+    weights: of the wavelengths in the channels, (C, L).
+    """
+    each, index = np.unique(
+        np.stack([lights.light, lights.spot], axis=1), axis=0, return_inverse=True
+    )
+    mix = lights.spectra[each[:, 0]][:, None] * weights  # (kernels, channels, L)
+    if len(kernels.cores) == 1:
+        cores = np.tensordot(mix, kernels.cores[0], 1)
+    else:
+        cores = np.einsum("kcl,klyx->kcyx", mix, kernels.cores[each[:, 1]], optimize=True)
+    if kernels.is_quarter:
+        at = abs(np.arange(1 - cores.shape[-1], cores.shape[-1]))
+        cores = cores[..., at[:, None], at]
+    found = {
+        "cores": cores,
+        "profiles": np.tensordot(mix, kernels.profiles, 1),
+        "step": kernels.step,
+        "parts": kernels.parts,
+        "spread": kernels.spread,
+        "centres": kernels.centres[each[:, 1]],
+    }
+    if kernels.streaks:
+        angles = kernels.streaks[0].angles
+        found |= {
+            "streaks": np.tensordot(mix, np.stack([one.profiles for one in kernels.streaks]), 1),
+            "lines": np.stack([np.sin(angles), np.cos(angles)], axis=1),
+            "corners": mix @ np.array([one.corners for one in kernels.streaks]),
+            "fine": float(points.FINE),
+            "width": kernels.width,
+        }
+    return index.ravel(), found
 
 
 def _mean_over_directions(side, step):

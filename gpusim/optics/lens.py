@@ -18,7 +18,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
-from gpusim.optics import farfield
+from gpusim.optics import farfield, points
 from gpusim.optics.otf import transfer
 from gpusim.optics.psf import mean_slopes, psf_tables, spread_at, steepest_slope
 from gpusim.optics.rays import AFFORDABLE, is_too_costly
@@ -396,6 +396,48 @@ class PupilLens(_OnGrid):
         if not is_too_costly(self.optics.pupil, waves):
             return 0.0
         return window(self.optics.pupil, waves)[1]
+
+    @property
+    def spots(self) -> tuple[float, float]:
+        """Distances of a low-pass filter's spots from their middle, (rows, cols) [sample]."""
+        down, across = self.optics.birefringence
+        return down / self.pitch / 2, across / self.pitch / 2
+
+    def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
+        """Return the energies of pixels around a point, integrated exactly, and the middle of the light far from it.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            spot: Field point (y, x), and the image's displacement (rows, cols) [sample].
+            at: Rows, and columns, of the pixels from the point [sample], shape (n,).
+
+        Returns:
+            Energies (L, n, n), and rows and columns (2,) of the middle [sample].
+        """
+        optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
+        waves = optics.waves(wavelengths, *_polar(place))
+        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:]
+        soft = optics.diffuser / self.pitch
+        more = int(np.ceil(5 * soft)) if soft and len(at) > 1 and (np.diff(at) == 1).all() else 0
+        wide = np.arange(at[0] - more, at[-1] + more + 1) if more else at
+        found, centres = np.empty((len(waves), len(at), len(at))), np.empty((len(waves), 2))
+        for own, centre, q, wave, shift in zip(
+            found, centres, self.q(wavelengths), waves, shifts, strict=True
+        ):
+            middle = (optics.pupil, wave, q)
+            energy = points.near_energies(
+                *middle, wide - shift[0], wide - shift[1], self.aperture, self.spots
+            )
+            if more:
+                energy = scipy.ndimage.gaussian_filter(energy, soft, truncate=5.0)
+                energy = energy[more:-more, more:-more]
+            own[:] = energy
+            centre[:] = points.rim_centre(*middle) + shift
+        return found, centres.mean(axis=0)
+
+    def q(self, wavelengths) -> np.ndarray:
+        """Return the wavelengths [nm] times working f-number over the distance of samples, shape (L,)."""
+        return self._q(wavelengths)
 
     def _q(self, wavelengths):
         """Wavelength times working f-number over the pitch, shape (L,)."""

@@ -30,9 +30,16 @@ from gpusim.optics.depth import DepthPlan, flatten
 from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid, evening, view_nodes
-from gpusim.optics.highlights import Highlights, point_kernels
+from gpusim.optics.highlights import (
+    Highlights,
+    PointKernels,
+    has_airy_kernels,
+    lens_kernels,
+    mixed_kernels,
+    point_kernels,
+)
 from gpusim.optics.lengths import Tiling
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lens import lens_of, open_lens
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.reading import WHOLE, planes, store
 from gpusim.pipeline.step import Chain, Rate, Step, Values
@@ -249,7 +256,8 @@ class _Steps:
         """Return the steps to "rates", electrons per second (1 or C, rows, cols), and the mosaic of these planes."""
         plan, cfa = self.plan, self.sensor.cfa_indices
         if self.blur is None or (
-            not self.folded and (self.lights is None or self.taps is not None)
+            not self.folded
+            and (self.lights is None or self.taps is not None or self.sensor.stacked)
         ):
             return self.channels_to("rates"), cfa
         chain = Chain("planes", "rates", Rate.SCENE, self.device)
@@ -436,16 +444,28 @@ class _Steps:
         lights = self.lights
         assert lights is not None
         across = np.minimum(2 * lights.reach, max(plan.content.shape))
-        # only plans for square pixels have highlights
-        aperture, _ = self.imaging.tables.grid(plan.scene.samples_per_pixel)[1]
+        ratio, optics = plan.scene.samples_per_pixel, plan.camera.optics
+        pitch, aperture = self.imaging.tables.grid(ratio)
+        displacement = self.sensor.displacement if ratio == 1 else (0.0, 0.0)
         chain.steps.append(
             Step(
                 "kernels of points",
                 "",
                 (),
-                {"q": plan.q, "aperture": aperture, "reach": int(lights.reach.max())},
+                {
+                    "optics": optics,
+                    "pitch": pitch,
+                    "aperture": aperture,
+                    "shape": plan.scene.samples,
+                    "displacement": displacement,
+                    "q": plan.q,
+                    "wavelengths": plan.scene.wavelengths,
+                    "spots": lights.spots,
+                    "core": lights.core,
+                    "reach": int(lights.reach.max()),
+                },
                 rate=Rate.CAMERA,
-                run=point_kernels,
+                run=make_point_kernels,
             )
         )
         chain.add(
@@ -987,13 +1007,22 @@ class _Placing:
         return light, distort(cover, of_cover, shape, self._beyond, light=limits, device=device)
 
 
+def make_point_kernels(
+    *, optics, pitch, aperture, shape, displacement, q, wavelengths, spots, core, reach
+) -> PointKernels:
+    """Return the kernels of points behind a lens: see `gpusim.optics.highlights`."""
+    lens = open_lens(optics, pitch, aperture, shape, displacement)
+    height, width = aperture
+    if has_airy_kernels(lens) and not spots.any():
+        return point_kernels(q, height, reach)
+    return lens_kernels(lens, wavelengths, spots, core, reach)
+
+
 def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:
     """Add highlights to the mosaic, or to each channel of the samples. weights: of the wavelengths, (C, L)."""
-    weights = lights.spectra[:, None] * weights  # (kernels, channels, L)
-    cores = np.tensordot(weights, kernels.cores, 1)
-    profiles = np.tensordot(weights, kernels.profiles, 1)
-    places = np.column_stack([lights.places + spare, lights.light, lights.reach]).astype(np.int32)
-    shape = kernels.step, kernels.parts, kernels.spread
+    index, made = mixed_kernels(kernels, lights, weights)
+    places = np.column_stack([lights.places + spare, index, lights.reach]).astype(np.int32)
+    by_channel = ("cores", "profiles", "streaks", "corners")
     if cfa is None:
         return device.stack(
             [
@@ -1002,22 +1031,25 @@ def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> An
                     PLAIN_MOSAIC,
                     places,
                     lights.strength,
-                    cores[:, [c]],
-                    profiles[:, [c]],
-                    *shape,
+                    **{
+                        name: value[:, [c]] if name in by_channel else value
+                        for name, value in made.items()
+                    },
                     device=device,
                 )
                 for c in range(rates.shape[0])
             ]
         )
+    made = {
+        name: device.array(value) if isinstance(value, np.ndarray) else value
+        for name, value in made.items()
+    }
     return splat(
         rates,
         device.array(cfa, np.int32),
         device.array(places, np.int32),
         device.array(lights.strength),
-        device.array(cores),
-        device.array(profiles),
-        *shape,
+        **made,
         device=device,
     )
 

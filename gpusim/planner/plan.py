@@ -392,6 +392,7 @@ def plan(
         blurred = question = question.with_limit(probes)
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
+    notes.bounds |= picture.beyond(question, operation.level)
     told = functools.cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
         pixels.note_view(question, told(), notes)

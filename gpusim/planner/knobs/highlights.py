@@ -5,10 +5,18 @@ from functools import cached_property
 
 import numpy as np
 
+from gpusim.domain.account import Bound
 from gpusim.domain.errors import BadData
 from gpusim.optics.highlights import (
+    CORE,
+    MOST,
+    MOST_SPOTS,
     THRESHOLD,
     Highlights,
+    beyond_errors,
+    beyond_light,
+    core_of,
+    has_airy_kernels,
     median_of,
     split_highlights,
     unsplit_error,
@@ -16,6 +24,8 @@ from gpusim.optics.highlights import (
 from gpusim.optics.outside import rule_of, seen_light, spread_afar
 from gpusim.planner.facts import Facts, Operation
 from gpusim.planner.question import Notes, Question
+
+PROBES = 64  # along an axis, at which the error of highlights is predicted
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +104,36 @@ class Picture:
         if split.residue:
             notes.beside["local error next to further highlights"] = split.residue
 
+    def beyond(self, question: Question, level: float) -> dict[str, Bound]:
+        """Return the named error of the highlights' light beyond their exact cores.
+
+        level: electrons of the frame's root mean square.
+        """
+        split = self.highlights
+        if split is None or not self.level > 0 or has_airy_kernels(question.lens):
+            return {}
+        mean, most = beyond_errors(
+            question.lens, question.scene.wavelengths, question.weights, split.core
+        )
+        rows, cols = (
+            np.unique(np.linspace(0, n - 1, min(n, PROBES)).astype(int))
+            for n in question.scene.samples
+        )
+        levels = (split.spectra @ question.light)[split.light] * split.strength
+        middle = float(np.average(question.scene.wavelengths, weights=question.light))
+        light = beyond_light(question.lens, middle, split, levels, rows, cols) / self.level
+        margin = question.scene.margin
+        local = self.brightness[margin + rows[:, None], margin + cols] / self.level + light
+        sigma = np.sqrt(local + max(question.sensor.read_sigma**2, 1) / level)
+        part, root = light / sigma, np.sqrt(level)
+        return {
+            "highlights": Bound(
+                mean * float(np.sqrt(np.mean(light**2))),
+                mean * root * float(np.quantile(part, 0.999)),
+                most * root * float(part.max()),
+            )
+        }
+
     def describe_unsplit(self, notes: Notes):
         """Note the transforms' error next to highlights that stay in the picture."""
         if self.highlights is None and self.is_spiky and (left := unsplit_error(self.brightness)):
@@ -114,13 +154,7 @@ def split(question: Question) -> tuple[Question, Picture]:
     if not can_be_split(question) or not picture.is_spiky:
         return question, picture
     brightness = picture.brightness.copy()
-    content, highlights = split_highlights(
-        question.facts.samples.whole().on_host(),
-        brightness,
-        question.q.max(),
-        scene.margin,
-        rule_of(scene.border),
-    )
+    content, highlights = _split_off(question, brightness)
     apart = None
     if highlights is not None:
         question = replace(question, facts=Facts(content))
@@ -131,17 +165,56 @@ def split(question: Question) -> tuple[Question, Picture]:
     return question, replace(picture, brightness=brightness, highlights=highlights, apart=apart)
 
 
-def can_be_split(question: Question) -> bool:
-    """Return whether highlights can be split off: their kernels are Airy patterns, integrated over squares."""
-    lens, (height, width) = question.lens, question.cell
-    return (
-        lens.is_airy
-        and lens.is_uniform
-        and not question.period
-        and question.optics.distortion is None
-        and question.facts.depth is None
-        and question.scene.view.is_plain
-        and height == width
-        and not any(lens.displacement)
-        and (question.ratio > 1 or not question.sensor.stacked)
+def _split_off(question, brightness):
+    """Content and highlights as of `split_highlights`, with kernels at the points' places in the field."""
+    lens, scene = question.lens, question.scene
+    longest, varies = max(question.size), not lens.is_uniform
+    end, most = 0, MOST_SPOTS if varies else MOST
+    strength = 1 / np.pi**3
+    if lens.tail is not None:
+        strength = lens.tail.strength * (2 if lens.tail.lines else 1)
+    airy = has_airy_kernels(lens)
+    core = CORE if airy else core_of(lens, scene.wavelengths, most if varies else 1, longest)
+    if lens.tail is None:
+        end = core
+    content, highlights = split_highlights(
+        question.facts.samples.whole().on_host(),
+        brightness,
+        float(question.q.max()) * (1.0 if airy else strength * np.pi**3),
+        scene.margin,
+        rule_of(scene.border),
+        most,
+        end,
     )
+    if highlights is None or airy:
+        return content, highlights
+    if lens.tail is not None and lens.tail.lines:  # a streak falls slowly
+        highlights = replace(highlights, reach=np.full_like(highlights.reach, longest))
+    if varies:
+        rows, cols = question.scene.samples
+        places = np.clip(highlights.places, 0, (rows - 1, cols - 1))
+        middle = (
+            (rows - 1) / 2 + question.axis[0] * question.ratio,
+            (cols - 1) / 2 + question.axis[1] * question.ratio,
+        )
+        spots, spot = np.unique((places - middle) / question.corner, axis=0, return_inverse=True)
+        spots = np.column_stack([spots, np.zeros_like(spots)])
+        highlights = replace(highlights, spot=spot.ravel().astype(np.int32), spots=spots)
+    return content, replace(highlights, core=core)
+
+
+def can_be_split(question: Question) -> bool:
+    """Return whether highlights can be split off: their kernels are known, and do not take too long."""
+    lens = question.lens
+    if (
+        lens.is_pointlike
+        or question.period
+        or question.optics.distortion is not None
+        or question.facts.depth is not None
+        or not question.scene.view.is_plain
+    ):
+        return False
+    if has_airy_kernels(lens):
+        return True
+    spots = 1 if lens.is_uniform else MOST_SPOTS
+    return core_of(lens, question.scene.wavelengths, spots, max(question.size)) > 0
