@@ -61,9 +61,14 @@ def axis_of(camera, shape) -> tuple[float, float]:
 def _distortion_of(camera, shape):
     """Return the distortion of the lens in a frame of `shape`, or None."""
     distortion = camera.optics.distortion
-    return (
-        None if distortion is None else fit_to_frame(distortion, shape, camera.sensor.pixel_pitch)
-    )
+    if distortion is None:
+        return None
+    return fit_to_frame(distortion, shape, camera.sensor.pixel_pitch)
+
+
+def _displacement_of(camera, scene):
+    """Return the distortion that displaces the samples of a scene, or None: an image is displaced already."""
+    return None if scene.projection == IMAGE else _distortion_of(camera, scene.shape)
 
 
 def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
@@ -236,11 +241,10 @@ def _flat_of_blur(camera, scene, from_axis):
     It is 1 minus the divergence of the centroids, by differences over a sample, plus half of the
     second derivatives of the second moments of spreads that hold all light.
     """
-    if not camera.optics.varies:
+    lens = open_lens(camera.optics, camera.sensor.pixel_pitch, 1.0, scene.shape)
+    if lens.is_uniform:
         return np.ones(scene.shape)
-    pitch = camera.sensor.pixel_pitch
     corner = float(np.hypot(*scene.shape)) / 2
-    lens = open_lens(camera.optics, pitch, 1.0, scene.shape)
     light = electrons_per_content(scene, camera).sum(axis=0)
     at = [np.arange(n) - (n - 1) / 2 + move for n, move in zip(scene.shape, from_axis, strict=True)]
     spaced = [np.linspace(part.min(), part.max(), min(len(part), PLACES)) for part in at]
