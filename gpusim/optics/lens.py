@@ -18,13 +18,18 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
+from gpusim.domain.pupil import LONGEST_WAVEFRONT, symmetric
 from gpusim.optics import farfield
+from gpusim.optics.geometric import coarse_kernel, ray_error, ray_tables
 from gpusim.optics.otf import transfer
 from gpusim.optics.psf import mean_slopes, psf_tables, spread_at, steepest_slope
 from gpusim.optics.rays import AFFORDABLE, is_too_costly
 from gpusim.optics.sampled import difference_tables, sampled_kernel, sampled_transfer, window
 from gpusim.optics.series import points_at
 
+# [nm] and its q, wavelength x f-number over the distance of samples, below which rays are counted: other tables are
+# sums over thousands of replicas
+MIDDLE, COARSE_Q = 550.0, 0.05
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
 
@@ -320,12 +325,12 @@ class PupilLens(_OnGrid):
         soft = (optics.diffuser / self.pitch) ** 2
         rows = self.aperture[0] ** 2 / 12 + (down / self.pitch / 2) ** 2 + soft
         cols = self.aperture[1] ** 2 / 12 + (across / self.pitch / 2) ** 2 + soft
-        waves = optics.waves(wavelengths)
+        waves = self._waves(wavelengths)
         return farfield.tail(optics.pupil, self._q(wavelengths), waves, rows + cols)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
-        waves, radius = self.optics.waves(wavelengths, height, distance=distance), 0.0
+        waves, radius = self._waves(wavelengths, height, distance=distance), 0.0
         for q, wave in zip(self._q(wavelengths), waves, strict=True):
             if wave.any():
                 radius = max(radius, 2 * q * steepest_slope(wave))
@@ -343,10 +348,12 @@ class PupilLens(_OnGrid):
 
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
+        waves = self._waves(self.nanometres(q), distance=distance)
+        if self._by_rays(waves):
+            return self._ray_tables(waves, q, rows, cols, stages, distance)
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
         optics, spots = self.optics, self._spots
-        waves = optics.waves(self.nanometres(q), distance=distance)
         soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
         if not is_too_costly(optics.pupil, waves):
             return stages.pupil(optics.pupil, waves, q, *settings, spots, soft, self.displacement)
@@ -365,6 +372,19 @@ class PupilLens(_OnGrid):
         )
         return stages.add(focus, other)
 
+    def _ray_tables(self, waves, q, rows, cols, stages, distance):
+        """Tables of rays, see `gpusim.optics.geometric`."""
+        reach, move = (
+            self.spread(self.nanometres(q), distance=distance),
+            -np.array(self.displacement),
+        )
+        spots, soft = np.divide(self._spots, 2), self.optics.diffuser / self.pitch
+        pupil, settings = self.optics.pupil, (self.aperture, spots, soft, move, reach)
+        tables = ray_tables(pupil, waves, q, rows, cols, *settings)
+        if symmetric(pupil, waves) and not any(self.displacement):
+            return stages.given(tables[:, : rows // 2 + 1].real.astype(np.float32))
+        return stages.given(tables.astype(np.complex64).view(np.float32))
+
     @property
     def _spots(self):
         """Distances of a low-pass filter's images, (rows, cols) [sample]."""
@@ -375,7 +395,7 @@ class PupilLens(_OnGrid):
         """See `Lens`."""
         wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
         optics = self.optics
-        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self._waves(wavelengths, *_polar(place), distance=distance)
         cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
         found = np.empty((len(waves), fx.size), complex)
         for own, wave, one in zip(found, waves, cut, strict=True):
@@ -396,10 +416,26 @@ class PupilLens(_OnGrid):
 
     def table_error(self, wavelengths, distance=None) -> float:
         """See `Lens`."""
-        waves = self.optics.waves(wavelengths, distance=distance)
+        waves = self._waves(wavelengths, distance=distance)
+        if self._by_rays(waves):
+            return ray_error(self.optics.pupil, waves, self._q(wavelengths))
         if not is_too_costly(self.optics.pupil, waves):
             return 0.0
         return window(self.optics.pupil, waves)[1]
+
+    @property
+    def is_coarse(self) -> bool:
+        """Whether samples are so much coarser than lambda N that rays are counted."""
+        return float(self._q(MIDDLE)) < COARSE_Q
+
+    def _by_rays(self, waves) -> bool:
+        """Whether tables are of rays: samples are coarse, or waves are more than are worth diffracting."""
+        return self.is_coarse or max(map(steepest_slope, waves)) > 2 * LONGEST_WAVEFRONT
+
+    def _waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None):
+        """Wavefronts: see `Optics.waves`. Rays may be of any number of waves."""
+        longest = np.inf if self.is_coarse or distance is None else LONGEST_WAVEFRONT
+        return self.optics.waves(wavelengths, height, azimuth, distance, longest)
 
     def _q(self, wavelengths):
         """Wavelength times working f-number over the pitch, shape (L,)."""
@@ -408,13 +444,14 @@ class PupilLens(_OnGrid):
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`."""
         optics, q = self.optics, self._q(wavelengths)
-        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self._waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         spots, soft = np.divide(self._spots, 2), optics.diffuser / self.pitch
         settings = size, self.aperture, spots, soft
+        kernel = coarse_kernel if self.is_coarse else sampled_kernel
         return np.array(
             [
-                sampled_kernel(optics.pupil, wave, one, shift, *settings)
+                kernel(optics.pupil, wave, one, shift, *settings)
                 for wave, one, shift in zip(waves, q, shifts, strict=True)
             ],
             np.float64,
@@ -427,7 +464,7 @@ class PupilLens(_OnGrid):
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
-        waves = self.optics.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self._waves(wavelengths, *_polar(place), distance=distance)
         rays = -2 * self._q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 

@@ -40,7 +40,7 @@ def pupil_kernel(outline: Pupil, wave, q, shift, size: int, aperture, spots) -> 
     count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
     u = (np.arange(count) + 0.5) / count * 2 - 1
     path = polygrid2d(u, u, wave).T  # [y, x]
-    opening = (_coverage(outline, count) * np.exp(2j * np.pi * path)).astype(np.complex64)
+    opening = (coverage(outline, count) * np.exp(2j * np.pi * path)).astype(np.complex64)
     (down, across), (height, width) = spots, aperture
     energies = []
     for a, b in product({-down, down}, {-across, across}):
@@ -108,12 +108,12 @@ def mean_slopes(outline: Pupil, waves) -> np.ndarray:
 def _mean_powers(pupil, count):
     """Means of x^i y^j over the open pupil, shape (count, count)."""
     u = (np.arange(CELLS) + 0.5) / CELLS * 2 - 1
-    powers, open_ = u ** np.arange(count)[:, None], _coverage(pupil, CELLS)  # [y, x]
+    powers, open_ = u ** np.arange(count)[:, None], coverage(pupil, CELLS)  # [y, x]
     return powers @ open_.T @ powers.T / open_.sum()
 
 
 @lru_cache(maxsize=32)
-def _coverage(pupil, count):
+def coverage(pupil, count):
     """Open part of every cell of the pupil's grid, [y, x]: linear across the edge."""
     u, step = (np.arange(count) + 0.5) / count * 2 - 1, 2 / count
     y, x = u[:, None], u

@@ -313,7 +313,9 @@ def _difference(pupil, wave, half, focus, fading):
     return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
 
 
-def difference_tables(pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift) -> np.ndarray:
+def difference_tables(
+    pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift
+) -> np.ndarray:
     """Return tables of wavefronts less those of the pupil in focus, complex64 (bands, rows, cols // 2 + 1).
 
     Args:

@@ -157,4 +157,4 @@ def test_frames_of_many_waves(waves):
     for tolerance in (None, "video"):
         simulate = gs.Simulator(camera, device="numpy", tolerance=tolerance)
         plan = simulate.plan(gs.chart("slanted-edge", size=(48, 32)))
-        assert 0 < plan.account.bounds["sampled pupil"].rms < 5e-3
+        assert 0 < plan.account.bounds["transfer tables"].rms < 5e-3

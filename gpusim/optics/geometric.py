@@ -1,0 +1,180 @@
+"""Point spreads of pixels that are far coarser than lambda N: the density of rays, with diffraction's tail, float64.
+
+A ray through (u, v) meets the image at -2 q grad W. Diffraction takes the share c s from the transfer function at s =
+q f of the cut-off, c = 4 / pi for a circle: pixels lose q times the light that the tail t r^-3 of `edge_tail` throws
+out of them. Of the phases at the pupil's rim, which turn this share as they turn the light, only the mean is kept: the
+transfer function errs by less than c q f, f <= sqrt(1/2) cycle per pixel.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+import scipy.fft
+from numpy.polynomial.polynomial import polyder, polygrid2d
+from scipy.special import ndtr, roots_legendre
+
+from gpusim.domain.pupil import Pupil
+from gpusim.optics.farfield import edge_tail
+from gpusim.optics.otf import defocus_only
+from gpusim.optics.psf import coverage
+
+FINEST = 16  # bins to a pixel, in which rays are counted
+MOST_BINS = 2048  # along a side
+RAYS = 3  # to a bin of the widest spread, along a side
+LEAST_RAYS, MOST_RAYS = 96, 1536  # along the pupil
+LEAST_PERIOD = 128  # [pixel] in which the tail is transformed
+NEAR = 3  # [pixel] up to which the tail is integrated by a Gauss rule, and not by its value in the middle
+
+
+def cusp(pupil: Pupil) -> float:
+    """Return c of the transfer function 1 - c s near 0: the mean width that the pupil's edge loses."""
+    # a tail t q r^-3 transforms to -2 pi t q 2 pi f
+    return 4 * np.pi**2 * edge_tail(pupil)
+
+
+def ray_error(pupil: Pupil, waves, q) -> float:
+    """Return the error of `ray_tables` up to sqrt(1/2) cycle per pixel.
+
+    In focus it is of second order. For defocus W of a circle the rim's phases 8 pi W s cos t leave 2.5 / (8 pi W
+    s)^(1/2) of their mean, by their two stationary points.
+    """
+    s = min(float(np.max(q)) / np.sqrt(2), 1.0)
+    lost = cusp(pupil) * s
+    if not waves.any():
+        return lost**2
+    if pupil.is_clear_circle and defocus_only(pupil, waves):
+        least = np.abs(waves[:, 2, 0]).min()
+        lost *= min(1.0, 2.5 / np.sqrt(max(8 * np.pi * least * s, 1e-9)))
+    return lost
+
+
+def ray_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float) -> np.ndarray:
+    """Return the light of rays in every pixel around a point's image, (size, size), of 1 over the aperture's area.
+
+    Args:
+        pupil: The pupil.
+        wave: Coefficients [i, j] of x^i y^j of the wavefront [waves].
+        q: Wavelength times working f-number over the pitch.
+        shift: Displacement of the image, (rows, cols) [pixel].
+        size: Side of the kernel [pixel], odd.
+        aperture: Height and width over which each pixel is integrated [pixel].
+        spots: Halves of the distances of a low-pass filter's images, (rows, cols) [pixel].
+        soft: Standard deviation of a diffuser [pixel].
+    """
+    bins, width = _bins(pupil, wave, q)
+    middle = (np.arange(len(bins)) - (len(bins) - 1) / 2) * width
+    pixels = np.arange(size) - size // 2.0
+    down, across = (
+        np.mean(
+            [
+                _overlap(pixels[:, None] - move - spot * side - middle, one, width, soft)
+                for side in (-1, 1)
+            ],
+            axis=0,
+        )
+        for move, spot, one in zip(shift, spots, aperture, strict=True)
+    )
+    return down @ bins @ across.T / np.prod(aperture)
+
+
+def _overlap(distance, aperture, width, soft):
+    """Part of the light of a bin that is in an aperture at a distance."""
+    if soft:
+        return ndtr((distance + aperture / 2) / soft) - ndtr((distance - aperture / 2) / soft)
+    low, high = ((distance + side * aperture / 2) / width + 0.5 for side in (-1, 1))
+    return np.clip(high, 0, 1) - np.clip(low, 0, 1)
+
+
+def _bins(pupil, wave, q):
+    """Light of rays in square bins, (n, n), of 1 in all, and their width [pixel]."""
+    if not wave.any():
+        return np.ones((1, 1)), 1e-9
+    edge = np.linspace(-1, 1, 65)
+    disc = np.hypot(edge[:, None], edge) <= 1
+    slopes = [
+        2 * q * np.abs(polygrid2d(edge, edge, polyder(wave, axis=k)).T[disc]).max() for k in (0, 1)
+    ]
+    reach = max(*slopes, 1e-9)
+    count = int(np.clip(2 * np.ceil(FINEST * reach) + 1, 9, MOST_BINS + 1)) + 2
+    width = 2 * reach / (count - 3)
+    rays = int(np.clip(RAYS * count, LEAST_RAYS, MOST_RAYS))
+    u = (np.arange(rays) + 0.5) / rays * 2 - 1
+    open_ = coverage(pupil, rays)
+    bins = np.zeros(count * count)
+    inside = np.nonzero(open_)
+    light = open_[inside] / open_.sum()
+    place = [
+        -2 * q * polygrid2d(u, u, polyder(wave, axis=k)).T[inside] / width + (count - 1) / 2
+        for k in (1, 0)
+    ]
+    first = [np.clip(np.floor(one).astype(int), 0, count - 2) for one in place]
+    rest = [np.clip(one - low, 0, 1) for one, low in zip(place, first, strict=True)]
+    for dy in (0, 1):
+        for dx in (0, 1):
+            share = light * np.abs(1 - dy - rest[0]) * np.abs(1 - dx - rest[1])
+            bins += np.bincount((first[0] + dy) * count + first[1] + dx, share, count * count)
+    return bins.reshape(count, count), width
+
+
+def ray_tables(
+    pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift, reach
+) -> np.ndarray:
+    """Return transfer tables, complex (bands, rows, cols // 2 + 1): see `ray_kernel`.
+
+    reach: of the rays [pixel].
+    """
+    size = 2 * int(np.ceil(reach + max(map(abs, shift)) + max(spots) + 6 * soft + 1)) + 1
+    out = np.empty((len(waves), rows, cols // 2 + 1), complex)
+    for own, wave, one in zip(out, waves, q, strict=True):
+        kernel = ray_kernel(pupil, wave, one, shift, size, aperture, spots, soft)
+        own[:] = _with_tail(kernel, pupil, wave, one, aperture, rows, cols)
+    return out
+
+
+@lru_cache(maxsize=8)
+def _tail(rows, cols, aperture):
+    """Transform of the mean of r^-3 over the apertures of a period's pixels, less all that leaves the point's own."""
+    down, across = (-(-LEAST_PERIOD // n) for n in (rows, cols))
+    rows, cols = rows * down, cols * across
+    y, x = (np.fft.fftfreq(n, 1 / n) for n in (rows, cols))
+    radius = np.hypot(y[:, None], x)
+    radius[0, 0] = np.inf
+    light = radius**-3.0
+    (height, width), (nodes, gauss) = aperture, roots_legendre(8)
+    near = np.argwhere((np.abs(y)[:, None] <= NEAR) & (np.abs(x) <= NEAR))
+    for i, j in near[1:]:
+        cell = np.hypot(y[i] + height / 2 * nodes[:, None], x[j] + width / 2 * nodes) ** -3.0
+        light[i, j] = gauss @ cell @ gauss / 4
+    light[0, 0] = _outside(rows, cols) - _outside(height, width) / (height * width)
+    spectrum = scipy.fft.rfft2(light)
+    return spectrum[::down, ::across]  # every so many of a longer period's frequencies
+
+
+def _outside(height, width):
+    """Integral of r^-3 outside a rectangle."""
+    return 8 * np.hypot(height, width) / (height * width)
+
+
+def _with_tail(kernel, pupil, wave, q, aperture, rows, cols):
+    """Transform of a kernel of rays in a period, with diffraction's tail.
+
+    Rays in one point leave its own aperture. Others leave apertures and gaps alike.
+    """
+    at = np.arange(len(kernel)) - len(kernel) // 2
+    wide = np.zeros((rows, cols))
+    np.add.at(wide, (at[:, None] % rows, at % cols), kernel)
+    own = (1.0, 1.0) if wave.any() else tuple(aperture)
+    tail = q * edge_tail(pupil) * np.prod(own) * _tail(rows, cols, own)
+    return scipy.fft.rfft2(wide) * (1 + tail)
+
+
+def coarse_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft) -> np.ndarray:
+    """Return the light in every pixel around a point's image: see `gpusim.optics.psf.pupil_kernel`."""
+    kernel = ray_kernel(pupil, wave, q, shift, size, aperture, spots, soft)
+    period = 2 * size
+    kernel = scipy.fft.irfft2(
+        _with_tail(kernel, pupil, wave, q, aperture, period, period), (period, period)
+    )
+    kernel /= max(kernel.sum(), 1e-300)  # apertures with gaps share all light
+    at = np.arange(size) - size // 2
+    return kernel[at[:, None], at]
