@@ -61,7 +61,9 @@ def ray_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: f
         spots: Halves of the distances of a low-pass filter's images, (rows, cols) [pixel].
         soft: Standard deviation of a diffuser [pixel].
     """
-    bins, width = _bins(pupil, wave, q)
+    # defocus moves the rays of all wavelengths alike
+    moves = np.round(2 * q * wave, 10)
+    bins, width = _bins(pupil, moves.tobytes(), moves.shape)
     middle = (np.arange(len(bins)) - (len(bins) - 1) / 2) * width
     pixels = np.arange(size) - size // 2.0
     down, across = (
@@ -85,15 +87,19 @@ def _overlap(distance, aperture, width, soft):
     return np.clip(high, 0, 1) - np.clip(low, 0, 1)
 
 
-def _bins(pupil, wave, q):
-    """Light of rays in square bins, (n, n), of 1 in all, and their width [pixel]."""
-    if not wave.any():
+@lru_cache(maxsize=8)
+def _bins(pupil, values, shape):
+    """Light of rays in square bins, (n, n), of 1 in all, and their width [pixel].
+
+    values: of 2 q times the wavefront's coefficients, whose slopes move the rays.
+    """
+    moves = np.frombuffer(values).reshape(shape)
+    along = [polyder(moves, axis=k) for k in (0, 1)]
+    if not any(one.any() for one in along):
         return np.ones((1, 1)), 1e-9
     edge = np.linspace(-1, 1, 65)
     disc = np.hypot(edge[:, None], edge) <= 1
-    slopes = [
-        2 * q * np.abs(polygrid2d(edge, edge, polyder(wave, axis=k)).T[disc]).max() for k in (0, 1)
-    ]
+    slopes = [np.abs(polygrid2d(edge, edge, one).T[disc]).max() for one in along]
     reach = max(*slopes, 1e-9)
     count = int(np.clip(2 * np.ceil(FINEST * reach) + 1, 9, MOST_BINS + 1)) + 2
     width = 2 * reach / (count - 3)
@@ -103,10 +109,7 @@ def _bins(pupil, wave, q):
     bins = np.zeros(count * count)
     inside = np.nonzero(open_)
     light = open_[inside] / open_.sum()
-    place = [
-        -2 * q * polygrid2d(u, u, polyder(wave, axis=k)).T[inside] / width + (count - 1) / 2
-        for k in (1, 0)
-    ]
+    place = [-polygrid2d(u, u, one).T[inside] / width + (count - 1) / 2 for one in reversed(along)]
     first = [np.clip(np.floor(one).astype(int), 0, count - 2) for one in place]
     rest = [np.clip(one - low, 0, 1) for one, low in zip(place, first, strict=True)]
     for dy in (0, 1):
