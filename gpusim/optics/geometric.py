@@ -172,7 +172,7 @@ def _with_tail(kernel, pupil, wave, q, aperture, rows, cols):
 
 
 def coarse_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft) -> np.ndarray:
-    """Return the light in every pixel around a point's image: see `gpusim.optics.psf.pupil_kernel`."""
+    """Return the light in every pixel around a point's image: see `gpusim.optics.sampled.sampled_kernel`."""
     kernel = ray_kernel(pupil, wave, q, shift, size, aperture, spots, soft)
     period = 2 * size
     kernel = scipy.fft.irfft2(

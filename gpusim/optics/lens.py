@@ -7,6 +7,8 @@ measured or traced by a ray tracer, and `PointLens` does not blur.
 A field point is (y, x), 1 the distance of the frame's corner from the axis, in the direction of rows and columns.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -656,6 +658,20 @@ def lens_of(camera: Camera) -> Lens:
     sensor, pitch = camera.sensor, camera.sensor.pixel_pitch
     aperture = np.divide(sensor.aperture, pitch)
     return open_lens(camera.optics, pitch, aperture, displacement=sensor.displacement)
+
+
+def kernels_at(lens: Lens, wavelengths, points, size: int) -> np.ndarray:
+    """Return kernels at many field points and distances, by all cores, (points, L, size, size).
+
+    Args:
+        lens: The lens.
+        wavelengths: [nm], shape (L,).
+        points: Pairs of a field point (y, x) and a distance [m], or None for the plane in focus.
+        size: Side of the kernels [sample], odd.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        made = pool.map(lambda point: lens.kernels(wavelengths, point[0], size, point[1]), points)
+        return np.array(list(made))
 
 
 def _require_no_distance(distance):

@@ -78,7 +78,7 @@ def _share(distance):
     return value
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def rows_of(pupil: Pupil, cycles: float, count: int):
     """Rows of a pupil: places v (R,), and the weights of `count` even samples u of each row (R, count), float32.
 
@@ -198,13 +198,13 @@ def _odd(wave):
     return wave * ((i + j) % 2)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _turns_along(half, count):
     """Cosines and sines of the samples of a row, (count, half + 1), float32."""
     return _cos_and_sin(np.outer(_places(count)[1], np.arange(half + 1) * STEP))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _turns_across(pupil, half, cycles, count):
     """Cosines and sines of the rows, (half + 1, rows), float32."""
     return _cos_and_sin(np.outer(np.arange(half + 1) * STEP, rows_of(pupil, cycles, count)[0]))
@@ -215,7 +215,7 @@ def _cos_and_sin(turns):
     return np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32)
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=64)
 def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
     """Return the share of each sample of the irradiance in each of `size` pixels, float32 (size, 2 half + 1).
 
@@ -259,9 +259,18 @@ def _all_shares(half, q, aperture, spot, soft, shift):
 def sampled_kernel(
     pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float = 0.0
 ) -> np.ndarray:
-    """Return the energy of every pixel around a point's image: see `gpusim.optics.psf.pupil_kernel`.
+    """Return the energy of every pixel around a point's image, (size, size), of energy 1 in all the image.
 
-    soft: standard deviation of a diffuser [pixel].
+    Args:
+        pupil: The pupil.
+        wave: Coefficients [i, j] of x^i y^j of the wavefront [waves].
+        q: Wavelength times working f-number over the pitch.
+        shift: Displacement of the image, (rows, cols) [pixel].
+        size: Side of the kernel [pixel], odd.
+        aperture: Height and width over which each pixel is integrated [pixel]. Apertures that leave gaps, or
+            overlap, share the light as if they tiled the image.
+        spots: Distances of a low-pass filter's spots from their middle, (rows, cols) [pixel].
+        soft: Standard deviation of a diffuser [pixel].
     """
     reach = size / 2 + max(map(abs, shift)) + MARGIN
     half = int(np.ceil(reach / (2 * q * STEP))) + MORE

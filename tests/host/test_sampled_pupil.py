@@ -9,7 +9,7 @@ from scipy.special import j1
 
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, disc_power, noll
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lens import kernels_at, open_lens
 from gpusim.optics.otf import hopkins, transfer
 from gpusim.optics.rays import is_too_costly
 from gpusim.optics.sampled import (
@@ -147,6 +147,15 @@ def test_much_defocus_is_the_image_of_the_pupil():
     inner = inside < 0.8 * radius
     assert abs(kernel[inner].sum() - inner.sum() / area) < 0.01
     assert kernel[inside > 1.05 * radius].sum() < 0.02
+
+
+def test_kernels_of_many_points():
+    """The same as one after the other, bit for bit."""
+    lens = open_lens(hexagon(1).with_(seidel_waves=(0, 0.3, 0, 0, 0)).optics, 1.4e-6)
+    points = [((0.1 * k, -0.2), 0.5 + k) for k in range(4)] + [((0.0, 0.7), None)]
+    many = kernels_at(lens, [450.0, 600.0], points, 21)
+    for kernels, (place, distance) in zip(many, points, strict=True):
+        assert np.array_equal(kernels, lens.kernels([450.0, 600.0], place, 21, distance))
 
 
 @pytest.mark.parametrize("waves", [5.0, 12.0])
