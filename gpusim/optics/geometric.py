@@ -15,13 +15,15 @@ from scipy.special import ndtr, roots_legendre
 
 from gpusim.domain.pupil import Pupil
 from gpusim.optics.farfield import edge_tail
-from gpusim.optics.otf import defocus_only
+from gpusim.optics.otf import defocus_only, transfer
 from gpusim.optics.psf import coverage
 
-FINEST = 16  # bins to a pixel, in which rays are counted
-MOST_BINS = 2048  # along a side
+FINEST, COARSEST = 16, 2  # bins to a pixel, in which rays are counted
+MOST_BINS = 512  # from the middle to the farthest ray, if that takes more than COARSEST
 RAYS = 3  # to a bin of the widest spread, along a side
 LEAST_RAYS, MOST_RAYS = 96, 1536  # along the pupil
+FEW_RINGS = 0.1  # of the cut-off, from which on errors of rays are measured
+PROBES = 16  # frequencies
 LEAST_PERIOD = 128  # [pixel] in which the tail is transformed
 NEAR = 3  # [pixel] up to which the tail is integrated by a Gauss rule, and not by its value in the middle
 
@@ -44,8 +46,21 @@ def ray_error(pupil: Pupil, waves, q) -> float:
         return lost**2
     if pupil.is_clear_circle and defocus_only(pupil, waves):
         least = np.abs(waves[:, 2, 0]).min()
-        lost *= min(1.0, 2.5 / np.sqrt(max(8 * np.pi * least * s, 1e-9)))
-    return lost
+        return lost * min(1.0, 2.5 / np.sqrt(max(8 * np.pi * least * s, 1e-9)))
+    return lost if s < FEW_RINGS else max(lost, _probed(pupil, waves[len(waves) // 2], s))
+
+
+def _probed(pupil, wave, farthest):
+    """Twice the largest error of rays at PROBES frequencies up to `farthest`, by quadrature."""
+    number = np.arange(PROBES) + 0.5
+    s, angle = farthest * (number / PROBES) ** 3, 2.4 * number
+    x, y = s * np.cos(angle), s * np.sin(angle)
+    moves = 2 * wave
+    bins, width = _bins(pupil, moves.tobytes(), moves.shape)
+    at = -2j * np.pi * (np.arange(len(bins)) - (len(bins) - 1) / 2) * width
+    down, across = (np.exp(np.outer(f, at)) for f in (y, x))
+    rays = np.einsum("fi,fi->f", down @ bins, across) * (1 - cusp(pupil) * s)
+    return 2 * float(np.abs(rays - transfer(pupil, wave[None], x, y, error=1e-4)[0]).max())
 
 
 def ray_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float) -> np.ndarray:
@@ -61,9 +76,16 @@ def ray_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: f
         spots: Halves of the distances of a low-pass filter's images, (rows, cols) [pixel].
         soft: Standard deviation of a diffuser [pixel].
     """
-    # defocus moves the rays of all wavelengths alike
+    # one optical path moves the rays of all wavelengths alike
     moves = np.round(2 * q * wave, 10)
-    bins, width = _bins(pupil, moves.tobytes(), moves.shape)
+    ends = (tuple(float(one) for one in both) for both in (shift, aperture, spots))
+    return _kernel(pupil, moves.tobytes(), moves.shape, size, *ends, float(soft))
+
+
+@lru_cache(maxsize=8)
+def _kernel(pupil, values, shape, size, shift, aperture, spots, soft):
+    """Kernel of rays; values: see `_bins`."""
+    bins, width = _bins(pupil, values, shape)
     middle = (np.arange(len(bins)) - (len(bins) - 1) / 2) * width
     pixels = np.arange(size) - size // 2.0
     down, across = (
@@ -101,7 +123,8 @@ def _bins(pupil, values, shape):
     disc = np.hypot(edge[:, None], edge) <= 1
     slopes = [np.abs(polygrid2d(edge, edge, one).T[disc]).max() for one in along]
     reach = max(*slopes, 1e-9)
-    count = int(np.clip(2 * np.ceil(FINEST * reach) + 1, 9, MOST_BINS + 1)) + 2
+    finest = np.clip(MOST_BINS / reach, COARSEST, FINEST)
+    count = max(2 * int(np.ceil(finest * reach)) + 1, 9) + 2
     width = 2 * reach / (count - 3)
     rays = int(np.clip(RAYS * count, LEAST_RAYS, MOST_RAYS))
     u = (np.arange(rays) + 0.5) / rays * 2 - 1

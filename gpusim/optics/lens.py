@@ -24,7 +24,7 @@ from gpusim.domain.pupil import LONGEST_WAVEFRONT, symmetric
 from gpusim.optics import farfield
 from gpusim.optics.geometric import coarse_kernel, ray_error, ray_tables
 from gpusim.optics.otf import transfer
-from gpusim.optics.psf import mean_slopes, psf_tables, spread_at, steepest_slope
+from gpusim.optics.psf import fastest_turn, mean_slopes, psf_tables, spread_at, steepest_slope
 from gpusim.optics.rays import AFFORDABLE, is_too_costly
 from gpusim.optics.sampled import difference_tables, sampled_kernel, sampled_transfer, window
 from gpusim.optics.series import points_at
@@ -432,7 +432,7 @@ class PupilLens(_OnGrid):
 
     def _by_rays(self, waves) -> bool:
         """Whether tables are of rays: samples are coarse, or waves are more than are worth diffracting."""
-        return self.is_coarse or max(map(steepest_slope, waves)) > 2 * LONGEST_WAVEFRONT
+        return self.is_coarse or max(map(fastest_turn, waves)) > 2 * LONGEST_WAVEFRONT
 
     def _waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None):
         """Wavefronts: see `Optics.waves`. Rays may be of any number of waves."""

@@ -28,13 +28,13 @@ from scipy.special import roots_legendre
 from gpusim.domain.pupil import Pupil
 from gpusim.optics.farfield import edge_tail
 from gpusim.optics.otf import FAST, transfer
-from gpusim.optics.psf import steepest_slope
+from gpusim.optics.psf import fastest_turn
 
 MARGIN = 0.5  # [pixel] and
 MORE = 12  # samples around a kernel that its pixels share
 ORDER = 12  # samples of the polynomial next to the end of a row
-ERROR = 1e-3  # of transfer functions, by light along a polygon's normals beyond the window
-REACH, NEAR = 2.5, 12.0  # window over the steepest slope of the wavefront, and beyond it [X]
+ERROR = 1e-3  # of transfer functions, by light that leaves the window
+NEAR = 12.0  # [X] of the window beyond the rays
 FLAT = 0.75  # part of the window up to which differences count in full
 STEP = 0.25  # of the samples of the irradiance, in X
 FINE = 5.0  # samples of a row in a cycle of the fastest phase
@@ -140,13 +140,13 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
 
     float32, rows first. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
     """
-    cycles = half * STEP + steepest_slope(wave)
+    cycles = half * STEP + fastest_turn(wave)
     # rounded up, so that wavelengths and places share rows
     cycles = float(np.exp2(np.ceil(8 * np.log2(max(cycles, 4))) / 8))
     count = 2 * int(np.ceil(FINE * cycles)) // 2 + ORDER
     v, weights = rows_of(pupil, cycles, count)
     _, u = _places(count)
-    even = pupil.blades % 2 == 0 and not _odd(wave).any()
+    even = len(pupil.sides) % 2 == 0 and not _odd(wave).any()
     if even:  # rows -v are the same from right to left: the amplitude is real, a sum over v > 0
         upper = len(v) // 2
         v, weights = v[upper:], weights[upper:]
@@ -297,16 +297,21 @@ def window(pupil: Pupil, waves) -> tuple[int, float]:
     Beyond a radius X there is the share pi t / X of the light, t the strength of `edge_tail`. In focus it is where it
     is with the wavefront, to 3 b^2 / X^2 of it for rays that land b away, or along a polygon's normals anywhere within
     b of them. The rest of the differences is spread within the window. Of 15 pupils with wavefronts of up to 8 waves,
-    and 60 frequencies each, half of them across a polygon's normals, the largest errors were 0.15 to 0.7 of this.
+    and 60 frequencies each, half of them across a polygon's normals, the largest errors were 0.2 to 0.7 of this.
     """
-    slope, strength = max(map(steepest_slope, waves)), np.pi * edge_tail(pupil)
-    share = 1 / pupil.blades if pupil.blades else 0.0
-    if pupil.blades % 2 == 0:
-        share *= 2
-    farthest = max(REACH * slope + NEAR, strength * share / ERROR)
-    radius = FLAT * farthest
-    moved = min(3 * (slope / radius) ** 2, 1.0)
-    return int(np.ceil(farthest / STEP)), float(0.75 * strength / radius * max(share, 0.6 * moved))
+    slope, strength = max(map(fastest_turn, waves)), np.pi * edge_tail(pupil)
+    sides = len(pupil.sides)
+    share = (
+        (1 + (sides % 2 == 0)) / sides if sides else 0.0
+    )  # of the sides with one normal or its opposite
+    farthest = 1.1 * slope / FLAT + NEAR
+    while True:
+        radius = FLAT * farthest
+        moved = min(3 * (slope / radius) ** 2, 1.0)
+        error = float(strength / radius * max(share, 0.6 * moved))
+        if error <= ERROR:
+            return int(np.ceil(farthest / STEP)), error
+        farthest *= 1.1
 
 
 def _fading(half):
