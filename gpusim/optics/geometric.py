@@ -76,29 +76,43 @@ def ray_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: f
         spots: Halves of the distances of a low-pass filter's images, (rows, cols) [pixel].
         soft: Standard deviation of a diffuser [pixel].
     """
+    first = -(size // 2)
+    return _light(pupil, wave, q, shift, (size, size), (first, first), aperture, spots, soft, False)
+
+
+def _light(pupil, wave, q, shift, shape, first, aperture, spots, soft, is_periodic):
+    """Light of rays in pixels of this shape, the first of them at `first`; or in a period's pixels."""
     # one optical path moves the rays of all wavelengths alike
     moves = np.round(2 * q * wave, 10)
+    known = moves.tobytes(), moves.shape
     ends = (tuple(float(one) for one in both) for both in (shift, aperture, spots))
-    return _kernel(pupil, moves.tobytes(), moves.shape, size, *ends, float(soft))
+    return _counted(pupil, *known, *ends, float(soft), shape, first, is_periodic)
 
 
 @lru_cache(maxsize=8)
-def _kernel(pupil, values, shape, size, shift, aperture, spots, soft):
-    """Kernel of rays; values: see `_bins`."""
-    bins, width = _bins(pupil, values, shape)
+def _counted(pupil, values, form, shift, aperture, spots, soft, shape, first, is_periodic):
+    """See `_light`; values: see `_bins`."""
+    bins, width = _bins(pupil, values, form)
     middle = (np.arange(len(bins)) - (len(bins) - 1) / 2) * width
-    pixels = np.arange(size) - size // 2.0
     down, across = (
-        np.mean(
-            [
-                _overlap(pixels[:, None] - move - spot * side - middle, one, width, soft)
-                for side in (-1, 1)
-            ],
-            axis=0,
-        )
-        for move, spot, one in zip(shift, spots, aperture, strict=True)
+        _shares(middle + move, width, one, spot, soft, count, start, is_periodic)
+        for move, spot, one, count, start in zip(shift, spots, aperture, shape, first, strict=True)
     )
-    return down @ bins @ across.T / np.prod(aperture)
+    return (down @ (bins @ across.T)).astype(np.float64) / np.prod(aperture)
+
+
+def _shares(places, width, aperture, spot, soft, count, first, is_periodic):
+    """Part of the light of bins in each of `count` pixels, float32 (count, bins)."""
+    out, bins = np.zeros((count, len(places)), np.float32), np.arange(len(places))
+    reach = int(np.ceil((aperture + width + 1) / 2 + spot + 6 * soft))
+    nearest = np.rint(places)
+    for more in range(-reach, reach + 1):
+        distance = nearest + more - places
+        share = sum(_overlap(distance + side * spot, aperture, width, soft) / 2 for side in (-1, 1))
+        pixel = (nearest + more).astype(int) - first
+        inside = bins if is_periodic else np.flatnonzero((pixel >= 0) & (pixel < count))
+        out[pixel[inside] % count, inside] += share[inside]
+    return out
 
 
 def _overlap(distance, aperture, width, soft):
@@ -124,7 +138,7 @@ def _bins(pupil, values, shape):
     slopes = [np.abs(polygrid2d(edge, edge, one).T[disc]).max() for one in along]
     reach = max(*slopes, 1e-9)
     finest = np.clip(MOST_BINS / reach, COARSEST, FINEST)
-    count = max(2 * int(np.ceil(finest * reach)) + 1, 9) + 2
+    count = int(np.clip(2 * np.ceil(finest * reach) + 1, 9, 6 * MOST_BINS + 1)) + 2
     width = 2 * reach / (count - 3)
     rays = int(np.clip(RAYS * count, LEAST_RAYS, MOST_RAYS))
     u = (np.arange(rays) + 0.5) / rays * 2 - 1
@@ -139,21 +153,17 @@ def _bins(pupil, values, shape):
         for dx in (0, 1):
             share = light * np.abs(1 - dy - rest[0]) * np.abs(1 - dx - rest[1])
             bins += np.bincount((first[0] + dy) * count + first[1] + dx, share, count * count)
-    return bins.reshape(count, count), width
+    return bins.reshape(count, count).astype(np.float32), width
 
 
-def ray_tables(
-    pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift, reach
-) -> np.ndarray:
-    """Return transfer tables, complex (bands, rows, cols // 2 + 1): see `ray_kernel`.
-
-    reach: of the rays [pixel].
-    """
-    size = 2 * int(np.ceil(reach + max(map(abs, shift)) + max(spots) + 6 * soft + 1)) + 1
+def ray_tables(pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift) -> np.ndarray:
+    """Return transfer tables, complex (bands, rows, cols // 2 + 1): see `ray_kernel`."""
     out = np.empty((len(waves), rows, cols // 2 + 1), complex)
     for own, wave, one in zip(out, waves, q, strict=True):
-        kernel = ray_kernel(pupil, wave, one, shift, size, aperture, spots, soft)
-        own[:] = _with_tail(kernel, pupil, wave, one, aperture, rows, cols)
+        light = _light(
+            pupil, wave, one, shift, (rows, cols), (0, 0), aperture, spots, soft, is_periodic=True
+        )
+        own[:] = scipy.fft.rfft2(light) * _tail_factor(pupil, wave, one, aperture, rows, cols)
     return out
 
 
@@ -181,26 +191,21 @@ def _outside(height, width):
     return 8 * np.hypot(height, width) / (height * width)
 
 
-def _with_tail(kernel, pupil, wave, q, aperture, rows, cols):
-    """Transform of a kernel of rays in a period, with diffraction's tail.
+def _tail_factor(pupil, wave, q, aperture, rows, cols):
+    """Factor of the transform of a kernel of rays that diffraction's tail makes.
 
     Rays in one point leave its own aperture. Others leave apertures and gaps alike.
     """
-    at = np.arange(len(kernel)) - len(kernel) // 2
-    wide = np.zeros((rows, cols))
-    np.add.at(wide, (at[:, None] % rows, at % cols), kernel)
     own = (1.0, 1.0) if wave.any() else tuple(aperture)
-    tail = q * edge_tail(pupil) * np.prod(own) * _tail(rows, cols, own)
-    return scipy.fft.rfft2(wide) * (1 + tail)
+    return 1 + q * edge_tail(pupil) * np.prod(own) * _tail(rows, cols, own)
 
 
 def coarse_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft) -> np.ndarray:
     """Return the light in every pixel around a point's image: see `gpusim.optics.sampled.sampled_kernel`."""
     kernel = ray_kernel(pupil, wave, q, shift, size, aperture, spots, soft)
     period = 2 * size
-    kernel = scipy.fft.irfft2(
-        _with_tail(kernel, pupil, wave, q, aperture, period, period), (period, period)
-    )
-    kernel /= max(kernel.sum(), 1e-300)  # apertures with gaps share all light
-    at = np.arange(size) - size // 2
-    return kernel[at[:, None], at]
+    wide = np.zeros((period, period))
+    wide[:size, :size] = kernel
+    factor = _tail_factor(pupil, wave, q, aperture, period, period)
+    kernel = scipy.fft.irfft2(scipy.fft.rfft2(wide) * factor, (period, period))[:size, :size]
+    return kernel / max(kernel.sum(), 1e-300)  # apertures with gaps share all light

@@ -352,7 +352,7 @@ class PupilLens(_OnGrid):
         """See `Lens`."""
         waves = self._waves(self.nanometres(q), distance=distance)
         if self._by_rays(waves):
-            return self._ray_tables(waves, q, rows, cols, stages, distance)
+            return self._ray_tables(waves, q, rows, cols, stages)
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
         optics, spots = self.optics, self._spots
@@ -374,14 +374,11 @@ class PupilLens(_OnGrid):
         )
         return stages.add(focus, other)
 
-    def _ray_tables(self, waves, q, rows, cols, stages, distance):
+    def _ray_tables(self, waves, q, rows, cols, stages):
         """Tables of rays, see `gpusim.optics.geometric`."""
-        reach, move = (
-            self.spread(self.nanometres(q), distance=distance),
-            -np.array(self.displacement),
-        )
+        move = -np.array(self.displacement)
         spots, soft = np.divide(self._spots, 2), self.optics.diffuser / self.pitch
-        pupil, settings = self.optics.pupil, (self.aperture, spots, soft, move, reach)
+        pupil, settings = self.optics.pupil, (self.aperture, spots, soft, move)
         tables = ray_tables(pupil, waves, q, rows, cols, *settings)
         if symmetric(pupil, waves) and not any(self.displacement):
             return stages.given(tables[:, : rows // 2 + 1].real.astype(np.float32))
