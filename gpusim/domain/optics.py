@@ -225,14 +225,16 @@ class Optics:
             and self.pupil == Pupil()
             and not any(self.birefringence)
             and self.diffuser == 0
-            and not self.waves(np.array([550.0])).any()
+            and not self.waves(np.array([550.0]), longest=np.inf).any()
             and not np.any(values_of(self.defocus))
         )
 
     @cached_property
     def is_symmetric(self) -> bool:
         """True if the blur on the axis is rotationally symmetric (even along rows and columns)."""
-        return self.model != "measured" and symmetric(self.pupil, self.waves(np.array([550.0])))
+        return self.model != "measured" and symmetric(
+            self.pupil, self.waves(np.array([550.0]), longest=np.inf)
+        )
 
     @cached_property
     def has_mirror(self) -> bool:
@@ -301,6 +303,7 @@ class Optics:
         height: float = 0.0,
         azimuth: float = 0.0,
         distance: float | None = None,
+        longest: float = LONGEST_WAVEFRONT,
     ) -> np.ndarray:
         """Return the wavefront's coefficients [l, i, j] of x^i y^j. The constant term is left out.
 
@@ -312,12 +315,13 @@ class Optics:
             height: Of the field point, see `Wavefront.polynomial`.
             azimuth: Of the field point, see `Wavefront.polynomial`.
             distance: Of the object [m]; None: the plane in focus.
+            longest: Most defocus [waves].
 
         Returns:
             Coefficients [waves of each wavelength], shape (L, n, n), n >= 5.
 
         Raises:
-            OutOfRange: The defocus is more than LONGEST_WAVEFRONT waves.
+            OutOfRange: The defocus is more than `longest`.
         """
         wavelengths = np.asarray(wavelengths, np.float64)
         table = (
@@ -330,11 +334,11 @@ class Optics:
         w020 = shift / (8 * self.working_f_number**2) / (wavelengths * 1e-9)
         table[:, :3, :3] += w020[:, None, None] * disc_power(1)
         table[:, 0, 0] = 0
-        if np.abs(w020).max(initial=0) > LONGEST_WAVEFRONT:
+        if np.abs(w020).max(initial=0) > longest:
             raise OutOfRange(
                 "optics.defocus",
                 f"{np.abs(w020).max():.4g} waves",
-                f"up to {LONGEST_WAVEFRONT:g} waves",
+                f"up to {longest:g} waves",
             )
         return table
 

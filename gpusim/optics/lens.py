@@ -7,6 +7,8 @@ measured or traced by a ray tracer, and `PointLens` does not blur.
 A field point is (y, x), 1 the distance of the frame's corner from the axis, in the direction of rows and columns.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol
@@ -18,13 +20,18 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
+from gpusim.domain.pupil import LONGEST_WAVEFRONT, symmetric
 from gpusim.optics import farfield, points
+from gpusim.optics.geometric import coarse_kernel, ray_error, ray_tables
 from gpusim.optics.otf import transfer
-from gpusim.optics.psf import mean_slopes, psf_tables, spread_at, steepest_slope
+from gpusim.optics.psf import fastest_turn, mean_slopes, psf_tables, spread_at, steepest_slope
 from gpusim.optics.rays import AFFORDABLE, is_too_costly
 from gpusim.optics.sampled import difference_tables, sampled_kernel, sampled_transfer, window
 from gpusim.optics.series import points_at
 
+# [nm] and its q, wavelength x f-number over the distance of samples, below which rays are counted: other tables are
+# sums over thousands of replicas
+MIDDLE, COARSE_Q = 550.0, 0.05
 NODES = 9  # wavelengths between which kernels are cubic: with 13 the image of a mild lens changes by 1e-5
 
 
@@ -316,12 +323,12 @@ class PupilLens(_OnGrid):
         soft = (optics.diffuser / self.pitch) ** 2
         rows = self.aperture[0] ** 2 / 12 + (down / self.pitch / 2) ** 2 + soft
         cols = self.aperture[1] ** 2 / 12 + (across / self.pitch / 2) ** 2 + soft
-        waves = optics.waves(wavelengths)
+        waves = self._waves(wavelengths)
         return farfield.tail(optics.pupil, self._q(wavelengths), waves, rows + cols)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
-        waves, radius = self.optics.waves(wavelengths, height, distance=distance), 0.0
+        waves, radius = self._waves(wavelengths, height, distance=distance), 0.0
         for q, wave in zip(self._q(wavelengths), waves, strict=True):
             if wave.any():
                 radius = max(radius, 2 * q * steepest_slope(wave))
@@ -339,10 +346,12 @@ class PupilLens(_OnGrid):
 
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
+        waves = self._waves(self.nanometres(q), distance=distance)
+        if self._by_rays(waves):
+            return self._ray_tables(waves, q, rows, cols, stages)
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
         optics, spots = self.optics, self._spots
-        waves = optics.waves(self.nanometres(q), distance=distance)
         soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
         if not is_too_costly(optics.pupil, waves):
             return stages.pupil(optics.pupil, waves, q, *settings, spots, soft, self.displacement)
@@ -361,6 +370,16 @@ class PupilLens(_OnGrid):
         )
         return stages.add(focus, other)
 
+    def _ray_tables(self, waves, q, rows, cols, stages):
+        """Tables of rays, see `gpusim.optics.geometric`."""
+        move = -np.array(self.displacement)
+        spots, soft = np.divide(self._spots, 2), self.optics.diffuser / self.pitch
+        pupil, settings = self.optics.pupil, (self.aperture, spots, soft, move)
+        tables = ray_tables(pupil, waves, q, rows, cols, *settings)
+        if symmetric(pupil, waves) and not any(self.displacement):
+            return stages.given(tables[:, : rows // 2 + 1].real.astype(np.float32))
+        return stages.given(tables.astype(np.complex64).view(np.float32))
+
     @property
     def _spots(self):
         """Distances of a low-pass filter's images, (rows, cols) [sample]."""
@@ -371,7 +390,7 @@ class PupilLens(_OnGrid):
         """See `Lens`."""
         wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
         optics = self.optics
-        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self._waves(wavelengths, *_polar(place), distance=distance)
         cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
         found = np.empty((len(waves), fx.size), complex)
         for own, wave, one in zip(found, waves, cut, strict=True):
@@ -392,7 +411,9 @@ class PupilLens(_OnGrid):
 
     def table_error(self, wavelengths, distance=None) -> float:
         """See `Lens`."""
-        waves = self.optics.waves(wavelengths, distance=distance)
+        waves = self._waves(wavelengths, distance=distance)
+        if self._by_rays(waves):
+            return ray_error(self.optics.pupil, waves, self._q(wavelengths))
         if not is_too_costly(self.optics.pupil, waves):
             return 0.0
         return window(self.optics.pupil, waves)[1]
@@ -439,6 +460,20 @@ class PupilLens(_OnGrid):
         """Return the wavelengths [nm] times working f-number over the distance of samples, shape (L,)."""
         return self._q(wavelengths)
 
+    @property
+    def is_coarse(self) -> bool:
+        """Whether samples are so much coarser than lambda N that rays are counted."""
+        return float(self._q(MIDDLE)) < COARSE_Q
+
+    def _by_rays(self, waves) -> bool:
+        """Whether tables are of rays: samples are coarse, or waves are more than are worth diffracting."""
+        return self.is_coarse or max(map(fastest_turn, waves)) > 2 * LONGEST_WAVEFRONT
+
+    def _waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None):
+        """Wavefronts: see `Optics.waves`. Rays may be of any number of waves."""
+        longest = np.inf if self.is_coarse or distance is None else LONGEST_WAVEFRONT
+        return self.optics.waves(wavelengths, height, azimuth, distance, longest)
+
     def _q(self, wavelengths):
         """Wavelength times working f-number over the pitch, shape (L,)."""
         return np.asarray(wavelengths) * 1e-9 * self.optics.working_f_number / self.pitch
@@ -446,13 +481,14 @@ class PupilLens(_OnGrid):
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`."""
         optics, q = self.optics, self._q(wavelengths)
-        waves = optics.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self._waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         spots, soft = np.divide(self._spots, 2), optics.diffuser / self.pitch
         settings = size, self.aperture, spots, soft
+        kernel = coarse_kernel if self.is_coarse else sampled_kernel
         return np.array(
             [
-                sampled_kernel(optics.pupil, wave, one, shift, *settings)
+                kernel(optics.pupil, wave, one, shift, *settings)
                 for wave, one, shift in zip(waves, q, shifts, strict=True)
             ],
             np.float64,
@@ -465,7 +501,7 @@ class PupilLens(_OnGrid):
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
-        waves = self.optics.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self._waves(wavelengths, *_polar(place), distance=distance)
         rays = -2 * self._q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
@@ -657,6 +693,20 @@ def lens_of(camera: Camera) -> Lens:
     sensor, pitch = camera.sensor, camera.sensor.pixel_pitch
     aperture = np.divide(sensor.aperture, pitch)
     return open_lens(camera.optics, pitch, aperture, displacement=sensor.displacement)
+
+
+def kernels_at(lens: Lens, wavelengths, points, size: int) -> np.ndarray:
+    """Return kernels at many field points and distances, by all cores, (points, L, size, size).
+
+    Args:
+        lens: The lens.
+        wavelengths: [nm], shape (L,).
+        points: Pairs of a field point (y, x) and a distance [m], or None for the plane in focus.
+        size: Side of the kernels [sample], odd.
+    """
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        made = pool.map(lambda point: lens.kernels(wavelengths, point[0], size, point[1]), points)
+        return np.array(list(made))
 
 
 def _require_no_distance(distance):

@@ -1,85 +1,15 @@
 """Point spreads on a grid of pixels: of a pupil, by diffraction, and transfer tables of spreads given as arrays."""
 
 from functools import lru_cache
-from itertools import product
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil
-from gpusim.optics.farfield import edge_tail
 
-# Gauss-Legendre points per side of a pixel for a kernel to 1e-3 of its peak or better, from this q on
-QUADRATURE = ((1.0, 4), (0.7, 5), (0.5, 7), (0.25, 10), (0.0, 16))
-SAMPLES_PER_CYCLE = 6  # of the pupil's phase, at the edge of the kernel
 CELLS = 128  # along the pupil, for mean slopes of the wavefront
-
-
-def pupil_kernel(outline: Pupil, wave, q, shift, size: int, aperture, spots) -> np.ndarray:
-    """Return the energy of every pixel around a point's image by a pupil, (size, size), of energy 1 in all the image.
-
-    The field in the image is the Fourier integral of the pupil, here a product of three matrices (Soummer et al.,
-    Optics Express 15, 15935 (2007)) with the nodes of a Gauss-Legendre rule in every pixel. Apertures that leave
-    gaps, or overlap, share the light as if they tiled the image.
-
-    Args:
-        outline: The pupil.
-        wave: Coefficients [i, j] of x^i y^j of the wavefront [waves].
-        q: Wavelength times working f-number over the pitch.
-        shift: Displacement of the image, (rows, cols) [pixel].
-        size: Side of the kernel [pixel], odd.
-        aperture: Height and width over which each pixel is integrated [pixel].
-        spots: Distances of a low-pass filter's spots from their middle, (rows, cols) [pixel].
-    """
-    points = next(count for least, count in QUADRATURE if q >= least * (1 - 1e-9))
-    # cycles of the phase per radius: x / 2 q for the image at x, and the wavefront's own
-    fastest = (size / 2 + max(map(abs, shift))) / (2 * q) + steepest_slope(wave)
-    count = 8 * int(np.ceil(SAMPLES_PER_CYCLE * fastest / 4)) + 32
-    u = (np.arange(count) + 0.5) / count * 2 - 1
-    path = polygrid2d(u, u, wave).T  # [y, x]
-    opening = (_coverage(outline, count) * np.exp(2j * np.pi * path)).astype(np.complex64)
-    (down, across), (height, width) = spots, aperture
-    energies = []
-    for a, b in product({-down, down}, {-across, across}):
-        left = _waves_to(size, points, height, shift[0] + a, count, q)
-        right = _waves_to(size, points, width, shift[1] + b, count, q)
-        field_ = left @ opening @ right.T
-        energies.append(field_.real**2 + field_.imag**2)
-    energy = sum(energies).reshape(size, points, size, points)
-    mass = leggauss(points)[1] / 2
-    energy = np.einsum("iajb,a,b->ij", energy, mass, mass, optimize=True)
-    inside, whole = energy.sum(), len(energies) * (q * count) ** 2 * np.abs(opening).sum()
-    if q < 1 and (height, width) != (1, 1):
-        # sums over apertures with gaps are not of all light: beyond the kernel they are in the mean
-        whole = inside + whole * _energy_beyond(outline, q, wave, size)
-    return energy / whole
-
-
-def _energy_beyond(outline, q, wave, size):
-    """Share of the light outside a kernel of this size, if that is beyond most rays.
-
-    It is q tail / r^3, or if the rays from the rim land b away q tail (r^2 + b^2) / (r (r^2 -
-    b^2)^2), outside of a square, over which 1 / r has the mean of a circle of 0.555 of its side.
-    """
-    radius, angle = 0.555 * size, np.linspace(0, 2 * np.pi, 64, endpoint=False)
-    x, y = (polyval2d(np.cos(angle), np.sin(angle), slope) for slope in _derivatives(wave))
-    near = min(np.mean(4 * q * q * (x**2 + y**2)) / radius**2, 0.8)
-    return 2 * np.pi * edge_tail(outline) * q / radius / (1 - near)
-
-
-@lru_cache(maxsize=32)
-def _waves_to(size, points, aperture, shift, count, q):
-    """Fourier factors from `count` cells of the pupil to the Gauss nodes of `size` pixels, complex64.
-
-    A ray through u meets the image at -2 q grad W, at which the phase W + u x / 2 q is stationary.
-    """
-    u = (np.arange(count) + 0.5) / count * 2 - 1
-    nodes = leggauss(points)[0] / 2
-    pixels = ((np.arange(size) - size // 2)[:, None] + aperture * nodes).ravel() - shift
-    return np.exp(2j * np.pi * np.outer(pixels, u) / (2 * q)).astype(np.complex64)
 
 
 def steepest_slope(wave) -> float:
@@ -87,6 +17,16 @@ def steepest_slope(wave) -> float:
     u = np.linspace(-1, 1, 17)
     x, y = (polygrid2d(u, u, slope) for slope in _derivatives(wave))
     return float(np.hypot(x, y)[u[:, None] ** 2 + u**2 <= 1].max())
+
+
+def fastest_turn(wave) -> float:
+    """Return the largest slope of the wavefront, at the rim also where it turns fast [waves per radius]."""
+    order = len(wave)
+    angle = np.arange(8 * order) * (np.pi / (4 * order))
+    radius = np.linspace(0.6, 1, 5)[:, None]
+    at = radius * np.cos(angle), radius * np.sin(angle)
+    x, y = (polyval2d(*at, slope) for slope in _derivatives(wave))
+    return max(float(np.hypot(x, y).max()), steepest_slope(wave))
 
 
 def _derivatives(wave):
@@ -108,12 +48,12 @@ def mean_slopes(outline: Pupil, waves) -> np.ndarray:
 def _mean_powers(pupil, count):
     """Means of x^i y^j over the open pupil, shape (count, count)."""
     u = (np.arange(CELLS) + 0.5) / CELLS * 2 - 1
-    powers, open_ = u ** np.arange(count)[:, None], _coverage(pupil, CELLS)  # [y, x]
+    powers, open_ = u ** np.arange(count)[:, None], coverage(pupil, CELLS)  # [y, x]
     return powers @ open_.T @ powers.T / open_.sum()
 
 
 @lru_cache(maxsize=32)
-def _coverage(pupil, count):
+def coverage(pupil, count):
     """Open part of every cell of the pupil's grid, [y, x]: linear across the edge."""
     u, step = (np.arange(count) + 0.5) / count * 2 - 1, 2 / count
     y, x = u[:, None], u

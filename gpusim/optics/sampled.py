@@ -28,16 +28,16 @@ from scipy.special import roots_legendre
 from gpusim.domain.pupil import Pupil
 from gpusim.optics.farfield import edge_tail
 from gpusim.optics.otf import FAST, transfer
-from gpusim.optics.psf import steepest_slope
+from gpusim.optics.psf import fastest_turn
 
 MARGIN = 0.5  # [pixel] and
 MORE = 12  # samples around a kernel that its pixels share
 ORDER = 12  # samples of the polynomial next to the end of a row
-ERROR = 1e-3  # of transfer functions, by light along a polygon's normals beyond the window
-REACH, NEAR = 2.5, 12.0  # window over the steepest slope of the wavefront, and beyond it [X]
+ERROR = 1e-3  # of transfer functions, by light that leaves the window
+NEAR = 12.0  # [X] of the window beyond the rays
 FLAT = 0.75  # part of the window up to which differences count in full
 STEP = 0.25  # of the samples of the irradiance, in X
-FINE = 4.5  # samples of a row in a cycle of the fastest phase
+FINE = 5.0  # samples of a row in a cycle of the fastest phase
 PIECE = 1024  # frequencies at a time
 NODES = 4  # of the Gauss nodes of half a panel where nothing turns
 PER_CYCLE = 1.75  # of them for every cycle of the phase from one end of the panel to the other
@@ -78,7 +78,7 @@ def _share(distance):
     return value
 
 
-@lru_cache(maxsize=64)
+@lru_cache(maxsize=16)
 def rows_of(pupil: Pupil, cycles: float, count: int):
     """Rows of a pupil: places v (R,), and the weights of `count` even samples u of each row (R, count), float32.
 
@@ -140,13 +140,13 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
 
     float32, rows first. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
     """
-    cycles = half * STEP + steepest_slope(wave)
+    cycles = half * STEP + fastest_turn(wave)
     # rounded up, so that wavelengths and places share rows
     cycles = float(np.exp2(np.ceil(8 * np.log2(max(cycles, 4))) / 8))
     count = 2 * int(np.ceil(FINE * cycles)) // 2 + ORDER
     v, weights = rows_of(pupil, cycles, count)
     _, u = _places(count)
-    even = pupil.blades % 2 == 0 and not _odd(wave).any()
+    even = len(pupil.sides) % 2 == 0 and not _odd(wave).any()
     if even:  # rows -v are the same from right to left: the amplitude is real, a sum over v > 0
         upper = len(v) // 2
         v, weights = v[upper:], weights[upper:]
@@ -198,13 +198,13 @@ def _odd(wave):
     return wave * ((i + j) % 2)
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _turns_along(half, count):
     """Cosines and sines of the samples of a row, (count, half + 1), float32."""
     return _cos_and_sin(np.outer(_places(count)[1], np.arange(half + 1) * STEP))
 
 
-@lru_cache(maxsize=16)
+@lru_cache(maxsize=8)
 def _turns_across(pupil, half, cycles, count):
     """Cosines and sines of the rows, (half + 1, rows), float32."""
     return _cos_and_sin(np.outer(np.arange(half + 1) * STEP, rows_of(pupil, cycles, count)[0]))
@@ -215,7 +215,7 @@ def _cos_and_sin(turns):
     return np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32)
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=64)
 def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
     """Return the share of each sample of the irradiance in each of `size` pixels, float32 (size, 2 half + 1).
 
@@ -259,9 +259,18 @@ def _all_shares(half, q, aperture, spot, soft, shift):
 def sampled_kernel(
     pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float = 0.0
 ) -> np.ndarray:
-    """Return the energy of every pixel around a point's image: see `gpusim.optics.psf.pupil_kernel`.
+    """Return the energy of every pixel around a point's image, (size, size), of energy 1 in all the image.
 
-    soft: standard deviation of a diffuser [pixel].
+    Args:
+        pupil: The pupil.
+        wave: Coefficients [i, j] of x^i y^j of the wavefront [waves].
+        q: Wavelength times working f-number over the pitch.
+        shift: Displacement of the image, (rows, cols) [pixel].
+        size: Side of the kernel [pixel], odd.
+        aperture: Height and width over which each pixel is integrated [pixel]. Apertures that leave gaps, or
+            overlap, share the light as if they tiled the image.
+        spots: Distances of a low-pass filter's spots from their middle, (rows, cols) [pixel].
+        soft: Standard deviation of a diffuser [pixel].
     """
     reach = size / 2 + max(map(abs, shift)) + MARGIN
     half = int(np.ceil(reach / (2 * q * STEP))) + MORE
@@ -288,16 +297,21 @@ def window(pupil: Pupil, waves) -> tuple[int, float]:
     Beyond a radius X there is the share pi t / X of the light, t the strength of `edge_tail`. In focus it is where it
     is with the wavefront, to 3 b^2 / X^2 of it for rays that land b away, or along a polygon's normals anywhere within
     b of them. The rest of the differences is spread within the window. Of 15 pupils with wavefronts of up to 8 waves,
-    and 60 frequencies each, half of them across a polygon's normals, the largest errors were 0.15 to 0.7 of this.
+    and 60 frequencies each, half of them across a polygon's normals, the largest errors were 0.2 to 0.7 of this.
     """
-    slope, strength = max(map(steepest_slope, waves)), np.pi * edge_tail(pupil)
-    share = 1 / pupil.blades if pupil.blades else 0.0
-    if pupil.blades % 2 == 0:
-        share *= 2
-    farthest = max(REACH * slope + NEAR, strength * share / ERROR)
-    radius = FLAT * farthest
-    moved = min(3 * (slope / radius) ** 2, 1.0)
-    return int(np.ceil(farthest / STEP)), float(0.75 * strength / radius * max(share, 0.6 * moved))
+    slope, strength = max(map(fastest_turn, waves)), np.pi * edge_tail(pupil)
+    sides = len(pupil.sides)
+    share = (
+        (1 + (sides % 2 == 0)) / sides if sides else 0.0
+    )  # of the sides with one normal or its opposite
+    farthest = 1.1 * slope / FLAT + NEAR
+    while True:
+        radius = FLAT * farthest
+        moved = min(3 * (slope / radius) ** 2, 1.0)
+        error = float(strength / radius * max(share, 0.6 * moved))
+        if error <= ERROR:
+            return int(np.ceil(farthest / STEP)), error
+        farthest *= 1.1
 
 
 def _fading(half):

@@ -1,6 +1,8 @@
 """Transfer tables of a camera's lens, integrated over its pixels."""
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from math import ceil
 from typing import Any
 
@@ -21,6 +23,7 @@ from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
+DRAFT_NODES = 6  # wavelengths between which kernels of drafts are cubic
 SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 
 
@@ -105,14 +108,13 @@ class LensTables:
         return self.camera.optics, *self.grid(ratio), displacement, plan.q
 
     def _short(self, plan):
-        """A short period that holds most of the light of points, if a CPU would be slow at the plan's; or 0.
+        """A short period that holds most of the light of points, if tables of the plan's would be slow; or 0.
 
         The rest of the light falls as 1 / r^3, is about q / SHORT of all, and ends at other places
         of the period.
         """
         if (
-            self.device.is_gpu
-            or (lens := self._lens(plan)).symmetry.is_round
+            (lens := self._lens(plan)).symmetry.is_round
             or plan.find(FarField)
             or plan.find(Fusion) is None
         ):
@@ -201,11 +203,23 @@ def make_tables(made_of, period, transfers, far, device) -> Any:
 def widen_tables(made_of, period, transfers, short, device) -> Any:
     """Return tables of a period from kernels of a short period and few wavelengths, padded with zeros."""
     rows, cols = period
-    *lens, q = made_of
-    nodes, between = wavelength_nodes(q)  # q goes with the wavelength
-    bands = bands_of((*lens, nodes), (short, short), device)
-    tables = device.numpy(combine_bands(bands, transfers @ between, device))
-    kernels = scipy.fft.irfft2(np.ascontiguousarray(tables).view(np.complex64), (short, short))
+    *settings, q = made_of
+    optics, pitch, aperture, displacement = settings
+    lens = open_lens(optics, pitch, aperture, displacement=displacement)
+    nodes, between = wavelength_nodes(q, DRAFT_NODES)  # q goes with the wavelength
+    size = short - 1
+    wavelengths = nodes * pitch / optics.working_f_number * 1e9
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        one = pool.map(lambda each: lens.kernels([each], (0.0, 0.0), size)[0], wavelengths)
+        bands = np.stack(list(one))
+    flat = np.ones(len(nodes))
+    if min(lens.aperture) < 1:
+        flat = exact_tables(lens, nodes, 1, 1)[:, 0, 0]
+    bands *= (flat / bands.sum(axis=(1, 2)))[:, None, None]
+    kernels = np.tensordot(transfers @ between, bands, 1).astype(np.float32)
+    # the middle comes first
+    at = (np.arange(short) + size // 2) % short
+    kernels = np.pad(kernels, ((0, 0), (0, 0), (0, 1), (0, 1)))[..., at[:, None], at]
     middle = short // 2
     wide = np.zeros((*kernels.shape[:-1], cols), np.float32)
     wide[..., :middle], wide[..., -middle:] = kernels[..., :middle], kernels[..., middle:]

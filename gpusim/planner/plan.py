@@ -456,7 +456,7 @@ def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict
         name, rounding = "transforms", TRANSFORM_ERROR
     found = {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
     if error := question.lens.table_error(question.scene.wavelengths):
-        found["sampled pupil"] = Bound(error) if probes is None else probes.change_error(error)
+        found["transfer tables"] = Bound(error) if probes is None else probes.change_error(error)
     return found
 
 

@@ -23,7 +23,6 @@ from gpusim.planner.facts import Facts
 from gpusim.planner.probes import Probes
 
 MOST_LIMIT = 1e3  # relative RMS error beyond which a limit is none
-SMALLEST_Q = 0.05  # below it the transfer tables are sums over thousands of replicas
 DECLARED = Bound()  # camera or scene declare the absence: leaving it out is no error
 
 
@@ -152,7 +151,7 @@ class Question:
 
         Raises:
             BadData, OutOfRange: The light does not fit the camera, no stage honours the
-                displacement of the apertures, or the pixels are far too coarse for the lens.
+                displacement of the apertures.
         """
         weights = electrons_per_content(scene, camera, asked["cache"])
         check_light(scene, facts.samples.whole, camera)
@@ -175,13 +174,6 @@ class Question:
                 "sensor.offset + sensor.centre",
                 f"{shown}, with one scene sample per pixel and no blur",
                 "whole pixels; or raise samples_per_pixel, or blur",
-            )
-        if made.is_blurred and made.q.min() < SMALLEST_Q:
-            step = "pixel pitch" if made.ratio == 1 else "distance of scene samples"
-            raise OutOfRange(
-                f"{camera.name}: wavelength x f-number / {step}",
-                f"{made.q.min():.2g}",
-                f'>= {SMALLEST_Q}; the blur is a fraction of a pixel: use optics model = "none"',
             )
         return made
 

@@ -149,7 +149,7 @@ def test_measured_spreads_are_integrated_over_displaced_rectangles():
 def test_field_kernels_are_integrated_over_displaced_rectangles():
     """Kernels on the axis against the Airy pattern's quadrature, both over the sum within the kernel: 1e-3 of the peak.
 
-    That is what the lens's own quadrature is laid out for (QUADRATURE in optics/psf.py).
+    That is ten times the error that the lens's own kernels are laid out for (gpusim/optics/sampled.py).
     """
     optics = camera().optics
     q, size = 0.8, 15

@@ -1,5 +1,7 @@
 """Tables of pupils and wavefronts on devices: against the integral, and images made with them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from devices import ALL_KINDS
@@ -7,11 +9,15 @@ from scipy.integrate import dblquad
 from scipy.special import j1
 from test_pupil import CLEAR, COMA, FLAT, defocus
 
-from gpusim.domain.pupil import Pupil
+from gpusim.backends import open_device
+from gpusim.domain.optics import Optics
+from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
+from gpusim.optics.lens import open_lens
 from gpusim.optics.otf import transfer
+from gpusim.pipeline.tables import _OnDevice
 
 
 def image_of_a_point(outline, waves, q, size, period, device):
@@ -160,3 +166,45 @@ def test_low_pass_plate_makes_two_images(device):
     single, double = (np.fft.irfft2(np.float64(table)[fold], period) for table in tables)
     expected = (np.roll(single, 1, axis=1) + np.roll(single, -1, axis=1)) / 2
     np.testing.assert_allclose(double, expected, atol=3e-6 * single.max())
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("displacement", [(0.0, 0.0), (0.5, -0.25)])
+@pytest.mark.parametrize("outline", [Pupil(6, 0, 0.3), Pupil(5, 0.3)])
+def test_tables_of_many_waves(outline, displacement, device):
+    """7 waves against the integral at frequencies without replicas, within the error that the lens states.
+
+    Devices add their cubics, 3e-5 each way, and float32.
+    """
+    q, waves = 1.2, np.pad(7.0 * disc_power(1), (0, 2))
+    waves[:4, :4] += 0.2 * noll(7)
+    zernike = np.zeros(7)
+    zernike[6] = 0.2
+    f_number, wavelength = 4.0, 550e-9
+    optics = Optics(
+        f_number,
+        4e-3,
+        pupil=outline,
+        defocus=7 * 8 * wavelength * f_number**2,
+        wavefront=Wavefront(zernike=tuple(zernike)),
+    )
+    optics = replace(optics, defocus=optics.defocus * (optics.working_f_number / f_number) ** 2)
+    pitch = wavelength * optics.working_f_number / q
+    lens = open_lens(optics, pitch, (0.9, 1.0), displacement=displacement)
+    error = lens.table_error(np.array([550.0]))
+    assert error > 0
+    stages = _OnDevice(open_device(device))
+    tables = lens.tables(np.array([q], np.float32), 48, 40, stages)
+    tables = np.ascontiguousarray(stages._device.numpy(tables)[0], np.float64).view(complex)
+    y, x = np.array([0, 1, 3, 5, 2]), np.array([1, 2, 0, 4, 3])
+    fy, fx = y / 48, x / 40
+    true = transfer(outline, waves[None], fx * q, fy * q)[0] * np.sinc(0.9 * fy) * np.sinc(fx)
+    for a, b in [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
+        v, u = fy + a, fx + b
+        inside = np.hypot(v, u) * q < 1
+        more = np.zeros(len(y), complex)
+        more[inside] = transfer(outline, waves[None], u[inside] * q, v[inside] * q)[0]
+        turn = np.exp(2j * np.pi * (displacement[0] * a + displacement[1] * b))
+        true = true + more * np.sinc(0.9 * v) * np.sinc(u) * turn
+    true = true * np.exp(2j * np.pi * (displacement[0] * fy + displacement[1] * fx))
+    assert np.abs(tables[y, x] - true).max() < error + 1e-4

@@ -285,7 +285,9 @@ def waves(point: Point, r, down, across) -> np.ndarray:
     hole = optics.pupil.obscuration
     rims = [(1.0, 1.0), *([(hole, -sqrt(hole))] if hole else [])]
     found = np.zeros((len(point.q), *np.shape(r)))
-    for own, q, wave in zip(found, point.q, optics.waves(point.wavelengths), strict=True):
+    for own, q, wave in zip(
+        found, point.q, optics.waves(point.wavelengths, longest=np.inf), strict=True
+    ):
         for rho, a in rims:
             seen = _pixel_response(point, rho / q, down, across)
             own -= a * a / 2 * np.sin(2 * pi * rho * r / q) * seen
