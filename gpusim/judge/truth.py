@@ -30,7 +30,13 @@ import numpy as np
 from gpusim.judge.truth_blur import blurred_rates, far_rates, period_of
 from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, varying_rates
 from gpusim.judge.truth_lens import require_truth as require_truth
-from gpusim.judge.truth_light import falloff_gain, pixel_places, placed_light, plain_rates
+from gpusim.judge.truth_light import (
+    falloff_gain,
+    pixel_places,
+    placed_light,
+    plain_rates,
+    with_rim,
+)
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import electrons_per_content
@@ -102,6 +108,7 @@ def true_mean(simulator: type[Simulator], camera, scene, plan, exposure_time) ->
 def _electrons(simulator: type[Simulator], camera, scene, exposure_time, parts):
     """Return the mean electrons of parts of a frame: see `true_mean`."""
     optics, cfa, lens = camera.optics, camera.sensor.cfa_indices, lens_of(camera)
+    scene = with_rim(camera, scene)
     light = placed_light(camera, scene)
     if lens.is_pointlike:
         rates = plain_rates(

@@ -5,6 +5,7 @@ image, after an extension by the rule of the border. Newton's method finds the s
 in the image, from the model of the camera.
 """
 
+from dataclasses import replace
 from functools import cache
 from math import ceil
 from typing import Any
@@ -15,8 +16,9 @@ import scipy
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.domain.scene import IMAGE
-from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
+from gpusim.optics.geometry import microlens_gain, relative_illumination, rim_of, vignetting_gain
 from gpusim.optics.lens import open_lens
+from gpusim.optics.outside import border_indices
 from gpusim.optics.weights import electrons_per_content
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
@@ -56,6 +58,29 @@ def axis_of(camera, shape) -> tuple[float, float]:
         return 0.0, 0.0
     x, y = (middle * model.radius / pitch for middle in model.middle)
     return y, x
+
+
+def with_rim(camera, scene):
+    """Return a scene with what lies around it by the rule of its border, if a lens displaces and blurs that.
+
+    The border belongs to the scene, not to its distorted picture. It goes on by as much as the
+    planner may take, if the model of the lens goes so far.
+    """
+    distortion, pitch = camera.optics.distortion, camera.sensor.pixel_pitch
+    if distortion is None or scene.projection == IMAGE or scene.depth is not None:
+        return scene
+    model = fit_to_frame(distortion, scene.shape, pitch)
+    rim = rim_of(model, scene.content.shape, pitch / scene.samples_per_pixel)
+    if not rim or camera.optics.varies or camera.optics.model == "none":
+        return scene
+    content = scene.content.on_host()
+    rows, cols = (border_indices(np.arange(-rim, n + rim), n, scene.border) for n in content.shape)
+    content = content.with_samples(lambda array: array[..., rows[:, None], cols])
+    if scene.border == "zero":
+        inside = np.zeros(content.shape, content.planes.dtype)
+        inside[rim:-rim, rim:-rim] = 1
+        content = content.with_planes(content.planes * inside)
+    return replace(scene, content=content, border="scene", margin=scene.margin + rim, labels={})
 
 
 def placed_light(camera, scene) -> np.ndarray:

@@ -80,9 +80,9 @@ def view_panorama(
         )
     cols, rows = (checked_count(f"size of {scene.name}", n, 1) for n in size)
     ratio = float(scene.samples_per_pixel if samples_per_pixel is None else samples_per_pixel)
-    model = optics.distortion
-    if model is not None:
-        model = fit_to_frame(model, (rows, cols), sensor.pixel_pitch)
+    model: Model | None = None
+    if optics.distortion is not None:
+        model = fit_to_frame(optics.distortion, (rows, cols), sensor.pixel_pitch)
     slope = sensor.pixel_pitch / optics.image_distance
     if scene.fov:
         slope = 2 * np.tan(scene.fov / 2) / cols
@@ -118,7 +118,7 @@ def view_panorama(
     if dark:
         share = 100 * dark / (rows * cols * ratio**2)
         notes = (*notes, f"the lens's image ends within the frame: {share:.3g} % of it are dark")
-    seen = Cube(content.wavelengths, out)
+    seen: Content = Cube(content.wavelengths, out)
     if spectra is not None:
         seen = Basis(content.wavelengths, out, spectra)
     return replace(

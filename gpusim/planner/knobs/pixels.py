@@ -15,6 +15,7 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import IMAGE
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.geometry import (
+    RIMS,
     DistortionGrid,
     distortion_grid,
     flat_of_lens,
@@ -133,7 +134,9 @@ def plan_distortion(
     if distortion is None:
         return None
     seen = question.size if question.is_blurred else question.scene.samples
-    made = distortion_grid(distortion, seen, question.pitch, question.size)
+    made = distortion_grid(distortion, seen, question.pitch, question.scene.content.shape)
+    if question.is_blurred:
+        notes.bounds["distorted border"] = _border_bound(question, made, told())
     (move, flux), (most, largest) = made.typical, made.error
     usual, worst = told().shift_error(move), told().shift_error(most)
     bright, brightest = told().brightness_error(flux), told().brightness_error(largest)
@@ -153,6 +156,27 @@ def plan_distortion(
         )
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
     return made
+
+
+def _border_bound(question, made, probes):
+    """Error of light from beyond the rim, where the border's rule holds for the distorted picture.
+
+    The flat field goes on changing there. The share of the light that comes from beyond r is that of diffraction,
+    q / (pi^2 r); if the blur is wider than the rim, half of the light comes from within its width.
+    """
+    flux, (rows, cols) = made.nodes[..., 2], made.nodes.shape[:2]
+    down, across = (n / (count - 1) for n, count in zip(question.size, (rows, cols), strict=True))
+    sides = (flux[:2], down), (flux[-2:], down), (flux.T[:2], across), (flux.T[-2:], across)
+    slope = max(np.abs(np.diff(pair, axis=0) / pair.max()).max() / step for pair, step in sides)
+    width = max(question.spread, 2 * question.deviation, 1.0)
+    far = max(question.rim, width)
+    share = min(0.5, question.mean_q / (np.pi**2 * far))
+    error = share * min(1.0, float(slope) * RIMS[0])
+    if width > question.rim:
+        error += 0.5 * min(1.0, float(slope) * width)
+    bound = probes.brightness_error(error)
+    strip = min(1.0, 2 * far * sum(1 / n for n in question.scene.samples))
+    return replace(bound, rms=bound.rms * sqrt(strip))
 
 
 def _with_rim(question: Question, probes: Probes, error: Callable[[Probes], Bound]) -> Bound:
@@ -180,6 +204,7 @@ def choose_distortion(
         others = {**notes.bounds}
         others.pop("distortion", None)
         others.pop("distortion grid")
+        others.pop("distorted border", None)
         if SAFETY * total([*others.values(), bound]).ratio(question.tolerance) <= 1:
             notes.bounds = others
             words = f"distortion by up to {move:.2g} of a sample"
@@ -190,6 +215,7 @@ def choose_distortion(
     if isinstance(question.optics.relative_illumination, str):
         return made
     notes.models["optics.distort"] += "; flat fields as the relative illumination says"
+    assert question.distortion is not None  # it made the grid
     return made.even(flat_on_axis(question.distortion))
 
 
