@@ -213,6 +213,9 @@ def distorted(scene, camera, planes, beyond, order=None):
         return np.stack(
             [map_coordinates(plane, places, order=0, mode="nearest") for plane in planes]
         )
+    if not isinstance(camera.optics.relative_illumination, str):  # it is the flat field
+        at = [np.full((1, 1), camera.sensor.pixel_pitch * part) for part in axis_of(scene, camera)]
+        area = undisplace(model_of(scene, camera), at[1], at[0], pitch / 8)[2]
     return band_limited(planes, v / pitch, u / pitch, scene.border) * area
 
 

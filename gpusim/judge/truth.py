@@ -28,7 +28,7 @@ from math import ceil
 import numpy as np
 
 from gpusim.judge.truth_blur import blurred_rates, far_rates, period_of
-from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, varying_rates
+from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, flat_fields, varying_rates
 from gpusim.judge.truth_lens import require_truth as require_truth
 from gpusim.judge.truth_light import (
     falloff_gain,
@@ -127,8 +127,9 @@ def _electrons(simulator: type[Simulator], camera, scene, exposure_time, parts):
     y, x = np.indices(scene.shape)
     channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
     found = []
-    for part, own in zip(parts, more, strict=True):
-        electrons = gain[part] * (rates[:, *part] + own)
+    flats = flat_fields(camera, scene, _within(parts, scene.shape))
+    for part, own, flat in zip(parts, more, flats, strict=True):
+        electrons = gain[part] / flat * (rates[:, *part] + own)
         if not camera.sensor.stacked:
             electrons = np.take_along_axis(electrons, channel[part][None], 0)[0]
         found.append(electrons)

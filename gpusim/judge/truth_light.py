@@ -6,7 +6,6 @@ in the image, from the model of the camera.
 """
 
 from dataclasses import replace
-from functools import cache
 from math import ceil
 from typing import Any
 
@@ -17,9 +16,7 @@ from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.domain.scene import IMAGE
 from gpusim.optics.geometry import microlens_gain, relative_illumination, rim_of, vignetting_gain
-from gpusim.optics.lens import open_lens
 from gpusim.optics.outside import border_indices
-from gpusim.optics.weights import electrons_per_content
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
@@ -37,10 +34,6 @@ RIM = 32
 FARTHEST = 512
 # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
 FINER = 2.0
-# places along an axis at which the spreads of a blur that varies give its flat field, and the step
-# of differences between them, of the corner's height
-PLACES = 17
-STEP = 1 / 64
 PARTS = 4
 
 
@@ -211,54 +204,11 @@ def falloff_gain(camera, scene) -> np.ndarray:
     elif not isinstance(optics.relative_illumination, str):
         table = optics.relative_illumination
         gain = relative_illumination(table, shape, pitch, distance, displacement=from_axis)
-        gain = gain / _flat_of_blur(camera, scene, from_axis)
     if sensor.microlens is not None:
         gain = gain * microlens_gain(sensor.microlens, shape, pitch, distance, from_axis)
     if sensor.vignetting is not None:
         gain = gain * vignetting_gain(sensor.vignetting, shape, sensor.displacement)
     return gain
-
-
-def _flat_of_blur(camera, scene, from_axis):
-    """Return the light of a flat field through a blur that varies, relative to the axis, (rows, cols).
-
-    It is 1 minus the divergence of the centroids, by differences over a sample, plus half of the
-    second derivatives of the second moments of spreads that hold all light.
-    """
-    if not camera.optics.varies:
-        return np.ones(scene.shape)
-    pitch = camera.sensor.pixel_pitch
-    corner = float(np.hypot(*scene.shape)) / 2
-    lens = open_lens(camera.optics, pitch, 1.0, scene.shape)
-    light = electrons_per_content(scene, camera).sum(axis=0)
-    at = [np.arange(n) - (n - 1) / 2 + move for n, move in zip(scene.shape, from_axis, strict=True)]
-    spaced = [np.linspace(part.min(), part.max(), min(len(part), PLACES)) for part in at]
-
-    @cache
-    def moments(y, x):
-        """Centroid (y, x) and second moments (y y, x x, y x) of a point's light at a place."""
-        place = (y / corner, x / corner)
-        if lens.tail is not None:
-            centroids = lens.centroids(scene.wavelengths, place)
-            return np.append(light @ centroids / light.sum(), np.zeros(3))
-        kernels = lens.kernels(scene.wavelengths, place, lens.least_size | 1)
-        kernel = np.tensordot(light / light.sum(), kernels, 1)
-        v, u = np.indices(kernel.shape) - kernel.shape[0] // 2
-        return np.array([(kernel * power).sum() for power in (v, u, v * v, u * u, u * v)])
-
-    def flat(y, x):
-        step = STEP * corner
-        near = {(i, j): moments(y + i * step, x + j * step) for i in (-1, 0, 1) for j in (-1, 0, 1)}
-        down, across = near[1, 0][0] - near[-1, 0][0], near[0, 1][1] - near[0, -1][1]
-        bent = near[1, 0][2] + near[-1, 0][2] + near[0, 1][3] + near[0, -1][3]
-        bent = bent - 2 * (near[0, 0][2] + near[0, 0][3])
-        mixed = near[1, 1][4] + near[-1, -1][4] - near[1, -1][4] - near[-1, 1][4]
-        return 1 - (down + across) / (2 * step) + (bent / 2 + mixed / 4) / step**2
-
-    table = np.array([[flat(y, x) for x in spaced[1]] for y in spaced[0]])
-    degrees = {key: min(5, len(part) - 1) for key, part in zip(("kx", "ky"), spaced, strict=True)}
-    spline = scipy.interpolate.RectBivariateSpline(*spaced, table, **degrees)
-    return spline(*at) / flat(0.0, 0.0)
 
 
 def _tangent(camera, scene):

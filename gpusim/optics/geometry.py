@@ -29,7 +29,10 @@ RIMS = (
 )  # [sample] around a frame that are displaced as well, where the lens's model goes so far
 STEEPEST = 2.0  # largest flux factor with the rim over that of the frame
 RIM_PLACES = 33  # along an axis, at which these are looked at
-FIELD_NODES = 25  # along an axis of the field: places whose spreads give the flat field
+# places along rows and columns whose spreads give the flat field, as in `gpusim.optics.field`, and
+# [sample] between them, at least
+FIELD_NODES = (15, 25)
+FIELD_SPACING = 8
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
 
@@ -263,6 +266,7 @@ def flat_of_lens(
     rows: np.ndarray,
     cols: np.ndarray,
     corner: float,
+    counts: tuple[int, int] = FIELD_NODES,
 ) -> np.ndarray:
     """Return the light of a flat field through a lens whose blur varies, relative to the axis.
 
@@ -277,15 +281,16 @@ def flat_of_lens(
         rows: Rows of places from the axis [sample].
         cols: Columns of places from the axis [sample].
         corner: Distance of the frame's corner from its middle [sample]: field height 1.
+        counts: Places along rows and columns whose spreads are looked at.
 
     Returns:
         Flat fields, float64, shape (C, rows, cols).
     """
     # nodes on either side of the axis, at which they are relative to
     nodes = []
-    for at in (rows, cols):
+    for at, count in zip((rows, cols), counts, strict=True):
         low, high = min(at.min(), -1.0), max(at.max(), 1.0)
-        nodes.append(np.linspace(low, high, min(FIELD_NODES, max(int(high - low), 5))))
+        nodes.append(np.linspace(low, high, min(count, max(int(high - low) // FIELD_SPACING, 5))))
     moments = np.empty((*map(len, nodes), len(shares), 5))
     for i, y in enumerate(nodes[0]):
         for j, x in enumerate(nodes[1]):
@@ -303,9 +308,7 @@ def flat_of_lens(
         for number, (down, across, sign) in enumerate(orders):
             if not moments[:, :, channel, number].any():
                 continue
-            spline = scipy.interpolate.RectBivariateSpline(
-                *nodes, moments[:, :, channel, number], kx=4, ky=4
-            )
+            spline = scipy.interpolate.RectBivariateSpline(*nodes, moments[:, :, channel, number])
             flat += sign * spline(rows, cols, dx=down, dy=across)
             axis += sign * spline(0, 0, dx=down, dy=across).item()
         flats.append(flat / axis)

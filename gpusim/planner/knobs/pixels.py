@@ -15,6 +15,7 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import IMAGE
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.geometry import (
+    FIELD_NODES,
     RIMS,
     DistortionGrid,
     distortion_grid,
@@ -324,19 +325,15 @@ def _flat_of_blur(question, from_axis, notes):
     nodes, between = wavelength_nodes(wavelengths, FIELD_WAVELENGTHS)
     weights = np.vstack([question.light, question.weights])
     shares = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300) @ between
-    every, *each = question.cache(
-        "flat field of the blur",
-        flat_of_lens,
-        question.lens,
-        nodes,
-        shares,
-        rows,
-        cols,
-        question.corner,
-    )
+    given = question.lens, nodes, shares, rows, cols, question.corner
+    every, *each = question.cache("flat field of the blur", flat_of_lens, *given)
+    # by splines through fewer places, which err more
+    fewer = (FIELD_NODES[0] // 2 + 1, FIELD_NODES[1] // 2 + 1)
+    coarse = question.cache("coarse flat field", flat_of_lens, *given, fewer)[0]
+    rough = float(np.sqrt(np.mean((coarse / every - 1) ** 2))) / 2
     apart = max(float(np.sqrt(np.mean((one / every - 1) ** 2))) for one in each)
     wider = question.cache("widening", widening, question.lens, nodes, question.corner)
-    notes.bounds["flat field of the blur"] = Bound(float(np.hypot(apart, wider)))
+    notes.bounds["flat field of the blur"] = Bound(float(np.hypot(apart, wider) + rough))
     return every
 
 
