@@ -287,6 +287,11 @@ class Scene(Pictured):
     def _check_view(self):
         if not isinstance(self.view, View):
             raise BadData(f"{self._label}: view {type(self.view).__name__}, wanted a View")
+        if self.image_of is not None and not self.view.is_plain:
+            raise BadData(
+                f"{self._label}: a view of the image of a panorama; turn the camera instead, by yaw, pitch and roll "
+                "of gs.view_panorama"
+            )
         if self.depth is not None and not self.view.is_plain:
             raise BadData(
                 f"{self._label}: a view does not move the depth of a scene; leave out view or depth"
@@ -336,6 +341,8 @@ class Scene(Pictured):
         more += [f"{len(self.layers)} layers"] * bool(self.layers) + [repr(self.view)] * (
             not self.view.is_plain
         )
+        if self.projection != PLANE:
+            more += ["a panorama" if self.projection == PANORAMA else "a lens's image"]
         if self.samples_per_pixel != 1:
             more += [f"{self.samples_per_pixel:g} samples per pixel"]
         return shorten_repr(
@@ -422,14 +429,14 @@ def _copy_with(part, /, **fields):
     return other
 
 
-def checked_scene(scene) -> Scene:
-    """Return `scene`. Raise BadData if it is not a Scene."""
+def checked_scene(scene, is_panorama_allowed: bool = False) -> Scene:
+    """Return `scene`. Raise BadData if it is not a Scene, or is a panorama if those are not allowed."""
     if not isinstance(scene, Scene):
         raise BadData(
             f"scene: {type(scene).__name__}, wanted a Scene, for example from "
             + ("gs.scene_from, which takes arrays" if is_array(scene) else "open_scene or chart")
         )
-    if scene.projection == PANORAMA:
+    if scene.projection == PANORAMA and not is_panorama_allowed:
         raise BadData(
             f"{scene.name} is a panorama: gs.view_panorama(scene, camera, size=(columns, rows)) is what a camera "
             "sees of it"

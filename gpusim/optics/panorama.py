@@ -92,8 +92,9 @@ def view_panorama(
     content = scene.content.on_host()
     planes, spectra = _linear_planes(content)
     count = len(planes)
-    require_memory(f"what {camera.name} sees of {scene.name}", 8 * count * samples[0] * samples[1])
-    levels = list(_halved(planes))
+    needed = 4 * count * (samples[0] * samples[1] + 3 * planes[0].size)
+    require_memory(f"what {camera.name} sees of {scene.name}", needed)
+    levels = list(_halved(np.ascontiguousarray(np.moveaxis(planes, 0, -1))))
     out = np.zeros((count, *samples), np.float32)
     labels = {name: np.zeros(samples, label.dtype) for name, label in scene.labels.items()}
     dark, inside = 0, np.s_[margin : samples[0] - margin, margin : samples[1] - margin]
@@ -164,32 +165,33 @@ def _seen(levels, rays, optics, down, across, step):
     """Return the light of places (K, len(down), len(across)), the mean over the area of each."""
     height, width = len(down), len(across)
     # samples of the panorama in a place, by the angle between places
-    ratio = rays.largest_step(down, across, step) / (pi / levels[0].shape[1])
+    ratio = rays.largest_step(down, across, step) / (pi / levels[0].shape[0])
     level = 0
     while 2 * ratio > MOST_PARTS and level + 1 < len(levels):
         level, ratio = level + 1, ratio / 2
-    planes = levels[level]
+    panorama = levels[level]
+    rows, cols, count = panorama.shape
     parts = min(ceil(2 * ratio) + 1, MOST_PARTS)
     offsets = ((np.arange(parts) + 0.5) / parts - 0.5) * step
     even = not isinstance(optics.relative_illumination, str)
     lit, entries = np.zeros(height * width), []
     for dy in offsets:
         for dx in offsets:
-            y, x, is_seen = rays.places(down[:, None] + dy, across + dx, planes.shape[1:])
+            y, x, is_seen = rays.places(down[:, None] + dy, across + dx, (rows, cols))
             gain = np.where(is_seen, rays.gains(down[:, None] + dy, across + dx, optics), 0.0)
             lit += is_seen.ravel() / parts**2
-            entries += _bilinear(y, x, gain / parts**2, planes.shape[1:])
+            entries += _bilinear(y, x, gain / parts**2, (rows, cols))
     weights, samples = (np.concatenate(part) for part in zip(*entries, strict=True))
     owners = np.tile(np.arange(height * width), len(entries))
-    size = height * width, planes.shape[1] * planes.shape[2]
-    matrix = scipy.sparse.csr_matrix((weights, (owners, samples)), shape=size)
-    seen = (matrix @ planes.reshape(len(planes), -1).T.astype(np.float64)).T
+    size = height * width, rows * cols
+    matrix = scipy.sparse.csr_matrix((weights.astype(np.float32), (owners, samples)), shape=size)
+    seen = (matrix @ panorama.reshape(-1, count)).T
     if even:
         # the mean of the panorama, however the lens spreads it
         total = np.asarray(matrix.sum(axis=1)).ravel()
         level = rays.level * np.where(lit > 0.5, 1.0, 0.0)
         seen = seen * np.divide(level, total, out=np.zeros_like(total), where=total > 0)
-    return seen.reshape(len(planes), height, width)
+    return seen.reshape(count, height, width)
 
 
 def _bilinear(y, x, weights, shape):
@@ -212,11 +214,11 @@ def _bilinear(y, x, weights, shape):
 
 
 def _halved(planes) -> Iterator[np.ndarray]:
-    """Yield planes, and their means over 2 x 2, 4 x 4 ... samples while both sides are even and long."""
+    """Yield planes (rows, cols, K), and means over 2 x 2, 4 x 4 ... samples while both sides are even and long."""
     yield planes
-    while min(planes.shape[1:]) >= 32 and planes.shape[1] % 2 == 0 and planes.shape[2] % 4 == 0:
-        count, rows, cols = planes.shape
-        planes = planes.reshape(count, rows // 2, 2, cols // 2, 2).mean(axis=(2, 4))
+    while min(planes.shape[:2]) >= 32 and planes.shape[0] % 2 == 0 and planes.shape[1] % 4 == 0:
+        rows, cols, count = planes.shape
+        planes = planes.reshape(rows // 2, 2, cols // 2, 2, count).mean(axis=(1, 3))
         yield planes
 
 
