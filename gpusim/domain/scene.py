@@ -11,7 +11,7 @@ import numpy as np
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
 from gpusim.domain.labels import Pictured
-from gpusim.domain.memory import is_array
+from gpusim.domain.memory import is_array, to_host
 from gpusim.domain.short_repr import short_repr, shorten_repr
 from gpusim.domain.spectrum import Spectrum, seen_band
 
@@ -230,6 +230,13 @@ class Scene(Pictured):
         self._check_labels()
         self._check_projection()
 
+    def _host_label(self, name, label):
+        """Return a label as a NumPy array."""
+        try:
+            return to_host(label, name) if hasattr(label, "shape") else np.asarray(label)
+        except (ValueError, TypeError):
+            raise BadData(f"{self._label}: label {name}: wanted an array of numbers") from None
+
     def _check_projection(self):
         if self.projection not in (PLANE, PANORAMA, IMAGE):
             raise UnknownName("projection", self.projection, (PLANE, PANORAMA))
@@ -264,7 +271,7 @@ class Scene(Pictured):
                     f"{self._label}: label {one_line(str(name))!r}, wanted a name of letters, digits and _; "
                     "depth is an argument of its own"
                 )
-            array, shape = np.asarray(label), self.content.shape
+            array, shape = self._host_label(name, label), self.content.shape
             wanted, kinds, words = shape, "biu", "whole numbers"
             if name == FLOW:
                 wanted, kinds, words = (*shape, 2), "f", "finite numbers"

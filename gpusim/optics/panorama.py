@@ -140,7 +140,9 @@ def lens_key(camera: Camera) -> tuple:
     optics, pitch = camera.optics, camera.sensor.pixel_pitch
     illumination = optics.relative_illumination
     kind = illumination if isinstance(illumination, str) else "given"
-    return optics.distortion, pitch, optics.image_distance, kind
+    # a calibration has its own focal length
+    focal = None if isinstance(optics.distortion, Calibration) else optics.image_distance
+    return optics.distortion, pitch, focal, kind
 
 
 def _linear_planes(content: Content):

@@ -312,6 +312,7 @@ def test_openexr_holds_ids(tmp_path):
         ({"boxes": [[5, 0, 1, 4]]}, "top <= bottom"),
         ({"depth": np.ones((ROWS, COLS), int)}, "depth is an argument of its own"),
         ({"a b": np.ones((ROWS, COLS), int)}, "letters, digits"),
+        ({"instance": [[1, 2], [3]]}, "label instance: wanted an array"),
         ([1], "labels list, wanted a dict"),
     ],
 )
