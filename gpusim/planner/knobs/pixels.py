@@ -170,10 +170,11 @@ def _border_bound(question, made, probes):
     sides = (flux[:2], down), (flux[-2:], down), (flux.T[:2], across), (flux.T[-2:], across)
     slope = max(np.abs(np.diff(pair, axis=0) / pair.max()).max() / step for pair, step in sides)
     width = max(question.spread, 2 * question.deviation, 1.0)
-    far = max(question.rim, width)
+    around = question.rim + question.scene.margin
+    far = max(around, width)
     share = min(0.5, question.mean_q / (np.pi**2 * far))
     error = share * min(1.0, float(slope) * RIMS[0])
-    if width > question.rim:
+    if width > around:
         error += 0.5 * min(1.0, float(slope) * width)
     bound = probes.brightness_error(error)
     strip = min(1.0, 2 * far * sum(1 / n for n in question.scene.samples))
@@ -276,7 +277,7 @@ def falloff_of(
             displacement=from_axis,
         )
         if not question.lens.is_uniform:
-            field = _flat_of_blur(question, from_axis, notes)
+            field = _flat_of_blur(question, from_axis, probes, notes)
             curve = curve / field
         parts["relative illumination as given"] = curve
     elif scene.projection != IMAGE:  # else its light has it
@@ -315,7 +316,7 @@ def falloff_of(
     return None if gains is None else Falloff(gains, field), float(slope)
 
 
-def _flat_of_blur(question, from_axis, notes):
+def _flat_of_blur(question, from_axis, probes, notes):
     """Flat field of a blur that varies, at every pixel, relative to the axis, (rows, cols)."""
     ratio, wavelengths = question.ratio, question.content.wavelengths
     rows, cols = (
@@ -333,7 +334,9 @@ def _flat_of_blur(question, from_axis, notes):
     rough = float(np.sqrt(np.mean((coarse / every - 1) ** 2))) / 2
     apart = max(float(np.sqrt(np.mean((one / every - 1) ** 2))) for one in each)
     wider = question.cache("widening", widening, question.lens, nodes, question.corner)
-    notes.bounds["flat field of the blur"] = Bound(float(np.hypot(apart, wider) + rough))
+    error = float(np.hypot(apart, wider) + rough)
+    bound = Bound(error) if probes is None else probes.brightness_error(error)
+    notes.bounds["flat field of the blur"] = bound
     return every
 
 
