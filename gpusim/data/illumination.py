@@ -42,7 +42,7 @@ def illuminate(scene: Scene, lights: dict[Any, Any]) -> Scene:
         OutOfRange: A light has no visible power.
         UnknownName: A light is not known.
     """
-    scene = checked_scene(scene)
+    scene = checked_scene(scene, True)
     if not scene.light_is_known:
         raise BadData(
             f"{scene.name}: holds radiance, its own light is not known: there are no surfaces to light"

@@ -243,5 +243,6 @@ def _start(distortion, wanted):
         "distortion",
         f"the image of a plane ends at {peak:.6g} radii",
         "a lens that sees less than 90 "
-        f"degrees from its axis up to the frame's corner, {farthest:.6g} radii",
+        f"degrees from its axis up to the frame's corner, {farthest:.6g} radii; or a panorama, see "
+        "gs.view_panorama",
     )

@@ -11,7 +11,7 @@ import numpy as np
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
 from gpusim.domain.labels import Pictured
-from gpusim.domain.memory import is_array
+from gpusim.domain.memory import is_array, to_host
 from gpusim.domain.short_repr import short_repr, shorten_repr
 from gpusim.domain.spectrum import Spectrum, seen_band
 
@@ -230,6 +230,13 @@ class Scene(Pictured):
         self._check_labels()
         self._check_projection()
 
+    def _host_label(self, name, label):
+        """Return a label as a NumPy array."""
+        try:
+            return to_host(label, name) if hasattr(label, "shape") else np.asarray(label)
+        except (ValueError, TypeError):
+            raise BadData(f"{self._label}: label {name}: wanted an array of numbers") from None
+
     def _check_projection(self):
         if self.projection not in (PLANE, PANORAMA, IMAGE):
             raise UnknownName("projection", self.projection, (PLANE, PANORAMA))
@@ -264,7 +271,7 @@ class Scene(Pictured):
                     f"{self._label}: label {one_line(str(name))!r}, wanted a name of letters, digits and _; "
                     "depth is an argument of its own"
                 )
-            array, shape = np.asarray(label), self.content.shape
+            array, shape = self._host_label(name, label), self.content.shape
             wanted, kinds, words = shape, "biu", "whole numbers"
             if name == FLOW:
                 wanted, kinds, words = (*shape, 2), "f", "finite numbers"
@@ -287,6 +294,11 @@ class Scene(Pictured):
     def _check_view(self):
         if not isinstance(self.view, View):
             raise BadData(f"{self._label}: view {type(self.view).__name__}, wanted a View")
+        if self.image_of is not None and not self.view.is_plain:
+            raise BadData(
+                f"{self._label}: a view of the image of a panorama; turn the camera instead, by yaw, pitch and roll "
+                "of gs.view_panorama"
+            )
         if self.depth is not None and not self.view.is_plain:
             raise BadData(
                 f"{self._label}: a view does not move the depth of a scene; leave out view or depth"
@@ -336,6 +348,8 @@ class Scene(Pictured):
         more += [f"{len(self.layers)} layers"] * bool(self.layers) + [repr(self.view)] * (
             not self.view.is_plain
         )
+        if self.projection != PLANE:
+            more += ["a panorama" if self.projection == PANORAMA else "a lens's image"]
         if self.samples_per_pixel != 1:
             more += [f"{self.samples_per_pixel:g} samples per pixel"]
         return shorten_repr(
@@ -422,14 +436,14 @@ def _copy_with(part, /, **fields):
     return other
 
 
-def checked_scene(scene) -> Scene:
-    """Return `scene`. Raise BadData if it is not a Scene."""
+def checked_scene(scene, is_panorama_allowed: bool = False) -> Scene:
+    """Return `scene`. Raise BadData if it is not a Scene, or is a panorama if those are not allowed."""
     if not isinstance(scene, Scene):
         raise BadData(
             f"scene: {type(scene).__name__}, wanted a Scene, for example from "
             + ("gs.scene_from, which takes arrays" if is_array(scene) else "open_scene or chart")
         )
-    if scene.projection == PANORAMA:
+    if scene.projection == PANORAMA and not is_panorama_allowed:
         raise BadData(
             f"{scene.name} is a panorama: gs.view_panorama(scene, camera, size=(columns, rows)) is what a camera "
             "sees of it"

@@ -15,7 +15,7 @@ from gpusim.domain.errors import BadData, BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.atomic import atomic_path
-from gpusim.io.exr_channels import contents
+from gpusim.io.exr_channels import contents, label_channels
 from gpusim.io.files import name_in_errors, open_file, reading
 
 UNITS = "W.m^-2.sr^-1.nm^-1"
@@ -33,7 +33,7 @@ class Exr:
     kind: "radiance", values [photon s-1 m-2 sr-1 nm-1]; "reflectance", values [1]; or "rgb", linear
     sRGB, white 1. wavelengths: [nm], None for "rgb". values: float32, shape (L, rows, cols).
     depth_channel, depth: name and stored distances, shape (rows, cols), or None. notes: values that
-    were changed or not read.
+    were changed or not read. labels: maps of whole numbers by name, int32, shape (rows, cols).
     """
 
     kind: str
@@ -42,6 +42,7 @@ class Exr:
     depth_channel: str | None
     depth: np.ndarray | None
     notes: tuple[str, ...]
+    labels: dict[str, np.ndarray]
 
 
 def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
@@ -55,7 +56,8 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
 
     bands: {channel: wavelength [nm]} for files without wavelengths in the names, for example
     Mitsuba's; only these channels are then read, as spectral radiance [W m-2 sr-1 nm-1]. depth:
-    read a channel of distances: Z, depth, Depth.Z (Blender), depth.T (Mitsuba's AOV).
+    read a channel of distances: Z, depth, Depth.Z (Blender), depth.T (Mitsuba's AOV). Labels are
+    channels label.NAME, and Blender's IndexOB ("instance") and IndexMA ("material").
 
     Raises BadFile, UnknownName (a name in `bands`) and DoesNotFit.
     """
@@ -99,7 +101,25 @@ def read_exr(path, bands=None, *, depth: bool = True) -> Exr:
     kind = "rgb" if held.is_picture else held.kind
     nodes = None if held.is_picture else np.array([nm for _, nm in held.channels])
     source = None if distances is None else held.depth
-    return Exr(kind, nodes, values, source, distances, tuple(notes))
+    labels = {
+        label: _whole_numbers(path, channels, name, (rows, cols))
+        for label, name in label_channels(names).items()
+        if name not in (bands or {})
+    }
+    return Exr(kind, nodes, values, source, distances, tuple(notes), labels)
+
+
+def _whole_numbers(path, channels, name, shape):
+    """Return the whole numbers of a channel, int32. Raises BadFile."""
+    pixels = getattr(channels.get(name), "pixels", None)
+    if pixels is None or pixels.shape != shape:
+        why = f"channel {name!r}: subsampled or damaged, wanted {shape[1]} x {shape[0]} pixels"
+        raise BadFile(path, why)
+    with np.errstate(invalid="ignore"):
+        is_whole = np.isfinite(pixels) & (np.abs(pixels) < 2.0**31) & (pixels == np.rint(pixels))
+    if not is_whole.all():
+        raise BadFile(path, f"channel {name!r}: a label, wanted whole numbers below 2^31")
+    return pixels.astype(np.int32)
 
 
 def _pixels(path, channels, name, shape, *, finite=False, negative=True):

@@ -21,7 +21,20 @@ POLARISED = re.compile(r"S[123]\..+")
 BUCKET = re.compile(r"wavelength(\d+(?:_\d+)?)")
 UNEVEN = 0.01  # of a bucket's width: names have two decimals
 PICTURE = re.compile(r"(|(?:.+\.)?Combined\.)R")  # layer of a colour picture
+# gpusim's own labels, and Blender's passes of indices of objects and materials
+LABEL = re.compile(r"label\.([A-Za-z_]\w*)|(?:.+\.)?Index(OB|MA)(?:\.\w+)?")
+INDICES = {"OB": "instance", "MA": "material"}
 DEPTH = re.compile(r"Z|(?:.+\.)?depth(?:\.\w+)?|(?:.+\.)?Depth(?:\.\w+)?")
+
+
+def label_channels(names) -> dict[str, str]:
+    """Return the channels of labels by the names of the labels: the first channel of each."""
+    found: dict[str, str] = {}
+    for channel in sorted(names):
+        match = LABEL.fullmatch(channel)
+        if match:
+            found.setdefault(match[1] or INDICES[match[2]], channel)
+    return found
 
 
 @dataclass(frozen=True)

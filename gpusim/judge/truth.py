@@ -30,9 +30,9 @@ import numpy as np
 
 from gpusim.judge.truth_blur import blurred_rates
 from gpusim.judge.truth_depth import depth_rates
-from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, varying_rates
+from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, flat_fields, varying_rates
 from gpusim.judge.truth_lens import require_truth as require_truth
-from gpusim.judge.truth_light import falloff_gain, placed_light, plain_rates
+from gpusim.judge.truth_light import falloff_gain, placed_light, plain_rates, with_rim
 from gpusim.optics.lens import lens_of
 from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.report import Error
@@ -101,6 +101,7 @@ def true_mean(simulator: type[Simulator], camera, scene, plan, exposure_time) ->
 def _electrons(camera, scene, exposure_time, parts):
     """Return the mean electrons of parts of a frame: see `true_mean`."""
     cfa, lens = camera.sensor.cfa_indices, lens_of(camera)
+    scene = with_rim(camera, scene)
     within = _within(parts, scene.shape)
     if lens.is_pointlike:
         light, weights = placed_light(camera, scene), electrons_per_content(scene, camera)
@@ -120,8 +121,9 @@ def _electrons(camera, scene, exposure_time, parts):
     y, x = np.indices(scene.shape)
     channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
     found = []
-    for part, own in zip(parts, wanted, strict=True):
-        electrons = gain[part] * own
+    flats = flat_fields(camera, scene, within)
+    for part, own, flat in zip(parts, wanted, flats, strict=True):
+        electrons = gain[part] / flat * own
         if not camera.sensor.stacked:
             electrons = np.take_along_axis(electrons, channel[part][None], 0)[0]
         found.append(electrons)

@@ -6,12 +6,14 @@ difference ends sooner and has no energy: a star keeps its energy, and a flat fi
 its points. Field points are relative to the optical axis.
 """
 
+import dataclasses
 from math import prod
 
 import numpy as np
 import scipy
 
 from gpusim.judge.truth_lens import field_of
+from gpusim.judge.truth_light import axis_of
 from gpusim.optics.outside import border_indices
 from gpusim.optics.weights import electrons_per_content
 
@@ -61,6 +63,26 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
             window = _take_windows(seen, part, lens.half, scene.margin, scene.border)
             _spread(one, window, kernels, lens.limits, part)
     return total
+
+
+def flat_fields(camera, scene, parts) -> list:
+    """Return what a blur that varies makes of a flat field, relative to the axis, one array (h, w) per part.
+
+    It is what a relative illumination that is given has in it already; 1 without one.
+    """
+    if isinstance(camera.optics.relative_illumination, str) or not camera.optics.varies:
+        return [1.0] * len(parts)
+    weights = electrons_per_content(scene, camera)
+    axis = [
+        int(np.clip(round((n - 1) / 2 + at), 0, n - 1))
+        for n, at in zip(scene.shape, axis_of(camera, scene.shape), strict=True)
+    ]
+    own = tuple(slice(at, at + 1) for at in axis)
+    even = dataclasses.replace(scene, border="edge" if scene.border == "zero" else scene.border)
+    light = np.ones((weights.shape[1], *scene.content.shape))
+    found = varying_rates(light, camera, even, [*parts, own])
+    *flats, middle = (1 + one.sum(axis=0) / weights.sum() for one in found)
+    return [flat / middle for flat in flats]
 
 
 def _take_windows(light, part, half, margin, border):

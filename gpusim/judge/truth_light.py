@@ -5,7 +5,7 @@ image, after an extension by the rule of the border. Newton's method finds the s
 in the image, from the model of the camera.
 """
 
-from functools import cache
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -15,10 +15,8 @@ import scipy
 from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.domain.scene import IMAGE
-from gpusim.optics.geometry import microlens_gain, relative_illumination, vignetting_gain
-from gpusim.optics.lens import open_lens
+from gpusim.optics.geometry import microlens_gain, relative_illumination, rim_of, vignetting_gain
 from gpusim.optics.outside import border_indices
-from gpusim.optics.weights import electrons_per_content
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
 # Source: Jackson et al., IEEE Trans. Med. Imaging 10 (1991) 473.
@@ -36,10 +34,6 @@ RIM = 32
 FARTHEST = 512
 # if one place spans more samples, it is the mean over PARTS x PARTS Gauss nodes of its cell
 FINER = 2.0
-# places along an axis at which the spreads of a blur that varies give its flat field, and the step
-# of differences between them, of the corner's height
-PLACES = 17
-STEP = 1 / 64
 PARTS = 4
 
 
@@ -69,6 +63,28 @@ def _distortion_of(camera, shape):
 def _displacement_of(camera, scene):
     """Return the distortion that displaces the samples of a scene, or None: an image is displaced already."""
     return None if scene.projection == IMAGE else _distortion_of(camera, scene.shape)
+
+
+def with_rim(camera, scene):
+    """Return a scene with what lies around it by the rule of its border, if a lens displaces and blurs that.
+
+    The border belongs to the scene, not to its distorted picture. It goes on by as much as the
+    planner may take, if the model of the lens goes so far.
+    """
+    model, pitch = _displacement_of(camera, scene), camera.sensor.pixel_pitch
+    if model is None or scene.depth is not None:
+        return scene
+    rim = rim_of(model, scene.content.shape, pitch / scene.samples_per_pixel)
+    if not rim or camera.optics.varies or camera.optics.model == "none":
+        return scene
+    content = scene.content.on_host()
+    rows, cols = (border_indices(np.arange(-rim, n + rim), n, scene.border) for n in content.shape)
+    content = content.with_samples(lambda array: array[..., rows[:, None], cols])
+    if scene.border == "zero":
+        inside = np.zeros(content.shape, content.planes.dtype)
+        inside[rim:-rim, rim:-rim] = 1
+        content = content.with_planes(content.planes * inside)
+    return replace(scene, content=content, border="scene", margin=scene.margin + rim, labels={})
 
 
 def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
@@ -227,53 +243,11 @@ def falloff_gain(camera, scene) -> np.ndarray:
     elif not isinstance(optics.relative_illumination, str):
         table = optics.relative_illumination
         gain = relative_illumination(table, shape, pitch, distance, displacement=from_axis)
-        gain = gain / _flat_of_blur(camera, scene, from_axis)
     if sensor.microlens is not None:
         gain = gain * microlens_gain(sensor.microlens, shape, pitch, distance, from_axis)
     if sensor.vignetting is not None:
         gain = gain * vignetting_gain(sensor.vignetting, shape, sensor.displacement)
     return gain
-
-
-def _flat_of_blur(camera, scene, from_axis):
-    """Return the light of a flat field through a blur that varies, relative to the axis, (rows, cols).
-
-    It is 1 minus the divergence of the centroids, by differences over a sample, plus half of the
-    second derivatives of the second moments of spreads that hold all light.
-    """
-    lens = open_lens(camera.optics, camera.sensor.pixel_pitch, 1.0, scene.shape)
-    if lens.is_uniform:
-        return np.ones(scene.shape)
-    corner = float(np.hypot(*scene.shape)) / 2
-    light = electrons_per_content(scene, camera).sum(axis=0)
-    at = [np.arange(n) - (n - 1) / 2 + move for n, move in zip(scene.shape, from_axis, strict=True)]
-    spaced = [np.linspace(part.min(), part.max(), min(len(part), PLACES)) for part in at]
-
-    @cache
-    def moments(y, x):
-        """Centroid (y, x) and second moments (y y, x x, y x) of a point's light at a place."""
-        place = (y / corner, x / corner)
-        if lens.tail is not None:
-            centroids = lens.centroids(scene.wavelengths, place)
-            return np.append(light @ centroids / light.sum(), np.zeros(3))
-        kernels = lens.kernels(scene.wavelengths, place, lens.least_size | 1)
-        kernel = np.tensordot(light / light.sum(), kernels, 1)
-        v, u = np.indices(kernel.shape) - kernel.shape[0] // 2
-        return np.array([(kernel * power).sum() for power in (v, u, v * v, u * u, u * v)])
-
-    def flat(y, x):
-        step = STEP * corner
-        near = {(i, j): moments(y + i * step, x + j * step) for i in (-1, 0, 1) for j in (-1, 0, 1)}
-        down, across = near[1, 0][0] - near[-1, 0][0], near[0, 1][1] - near[0, -1][1]
-        bent = near[1, 0][2] + near[-1, 0][2] + near[0, 1][3] + near[0, -1][3]
-        bent = bent - 2 * (near[0, 0][2] + near[0, 0][3])
-        mixed = near[1, 1][4] + near[-1, -1][4] - near[1, -1][4] - near[-1, 1][4]
-        return 1 - (down + across) / (2 * step) + (bent / 2 + mixed / 4) / step**2
-
-    table = np.array([[flat(y, x) for x in spaced[1]] for y in spaced[0]])
-    degrees = {key: min(5, len(part) - 1) for key, part in zip(("kx", "ky"), spaced, strict=True)}
-    spline = scipy.interpolate.RectBivariateSpline(*spaced, table, **degrees)
-    return spline(*at) / flat(0.0, 0.0)
 
 
 def _tangent(camera, scene):

@@ -20,7 +20,19 @@ PHASES = 32  # of places between samples that stand for all
 MOST_PLACES = 256  # along an axis of a frame that stand for its pixels
 PARTS = 8  # of a frame along an axis; its largest errors are in the worst part
 LEAST_LOBES = 4.5  # of brightest over darkest of 4 x 4 samples: cubics stay above 0 below it (81 / 18 at the middle)
-FIELD_NODES = 25  # along an axis of the field: places whose spreads give the flat field
+RIMS = (
+    32,
+    16,
+    8,
+    4,
+    2,
+)  # [sample] around a frame that are displaced as well, where the lens's model goes so far
+STEEPEST = 2.0  # largest flux factor with the rim over that of the frame
+RIM_PLACES = 33  # along an axis, at which these are looked at
+# places along rows and columns whose spreads give the flat field, as in `gpusim.optics.field`, and
+# [sample] between them, at least
+FIELD_NODES = (15, 25)
+FIELD_SPACING = 8
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
 
@@ -103,9 +115,7 @@ def distortion_grid(
         down = v * back + (source_shape[0] - 1) / 2 - rows[:, None]
         across = u * back + (source_shape[1] - 1) / 2 - cols
         values = np.stack([down, across, flux], axis=-1)
-        # singular values s1 >= s2 of the 2 x 2 derivative, from s1 s2 = det and s1^2 + s2^2 = sum of squares
-        squares, twice = a * a + b * b + c * c + d * d, 2 / flux
-        s1 = (np.sqrt(squares + twice) + np.sqrt(np.maximum(squares - twice, 0))) / 2
+        s1 = _stretch(a, b, c, d)
         ratio = pitch / source_pitch
         # 1/s1 the smallest, 1/s2 = flux s1 the largest
         return values, (ratio / s1.max(), ratio * (flux * s1).max())
@@ -126,12 +136,51 @@ def distortion_grid(
         raise OutOfRange(
             "distortion",
             f"varies too fast: {error[0]:.2e} of a sample between nodes {step} pixels apart",
-            f"at most {tolerance:g}",
+            f"at most {tolerance:g}; or a panorama, see gs.view_panorama",
         )
     corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
     reach = max(0.0, -(corners + 0.5).min(), (corners + 0.5 - source_shape).max())
     typical = float(np.sqrt(np.mean(wrong[0] ** 2))), float(np.sqrt(np.mean(wrong[1] ** 2)))
     return DistortionGrid(values, error, typical, ratio, float(reach))
+
+
+def _stretch(a, b, c, d):
+    """Larger singular value s1 of 2 x 2 matrices, from s1 s2 = det and s1^2 + s2^2 = sum of squares."""
+    squares, twice = a * a + b * b + c * c + d * d, 2 * (a * d - b * c)
+    return (np.sqrt(squares + twice) + np.sqrt(np.maximum(squares - twice, 0))) / 2
+
+
+def rim_of(distortion: Model, shape: tuple[int, int], pitch: float) -> int:
+    """Return how far around a frame of `shape` light is displaced as well [sample], RIMS or less.
+
+    A blur brings it in. The border's rule then holds for the scene, not for its distorted picture. It ends before the
+    lens's picture does, where the light of the corners rises without end, and where pixels would need area weighting
+    that do not in the frame.
+    """
+
+    def look(rim):
+        """Largest flux factor and most samples per pixel over the frame and the rim."""
+        y, x = ((n / 2 + rim) * (pitch / distortion.radius) for n in shape)
+        places = np.linspace(-1, 1, RIM_PLACES)
+        down, across = np.meshgrid(y * places, x * places, indexing="ij")
+        a, b, c, d = distortion.derivative(*ideal(distortion, across, down))
+        flux = 1 / (a * d - b * c)
+        return float(flux.max()), float((flux * _stretch(a, b, c, d)).max())
+
+    try:
+        flux, ratio = look(0)
+        if abs(flux - 1) < 1e-12 and abs(ratio - 1) < 1e-12:
+            return 0  # nothing is displaced
+    except OutOfRange:
+        return 0
+    for rim in RIMS:
+        try:
+            brighter, wider = look(rim)
+        except OutOfRange:
+            continue
+        if brighter <= STEEPEST * flux and wider <= max(0.9 * RATIO_TO_REPORT, ratio):
+            return rim
+    return 0
 
 
 def _edges(shape, nodes):
@@ -217,6 +266,7 @@ def flat_of_lens(
     rows: np.ndarray,
     cols: np.ndarray,
     corner: float,
+    counts: tuple[int, int] = FIELD_NODES,
 ) -> np.ndarray:
     """Return the light of a flat field through a lens whose blur varies, relative to the axis.
 
@@ -231,15 +281,16 @@ def flat_of_lens(
         rows: Rows of places from the axis [sample].
         cols: Columns of places from the axis [sample].
         corner: Distance of the frame's corner from its middle [sample]: field height 1.
+        counts: Places along rows and columns whose spreads are looked at.
 
     Returns:
         Flat fields, float64, shape (C, rows, cols).
     """
     # nodes on either side of the axis, at which they are relative to
     nodes = []
-    for at in (rows, cols):
+    for at, count in zip((rows, cols), counts, strict=True):
         low, high = min(at.min(), -1.0), max(at.max(), 1.0)
-        nodes.append(np.linspace(low, high, min(FIELD_NODES, max(int(high - low), 5))))
+        nodes.append(np.linspace(low, high, min(count, max(int(high - low) // FIELD_SPACING, 5))))
     moments = np.empty((*map(len, nodes), len(shares), 5))
     for i, y in enumerate(nodes[0]):
         for j, x in enumerate(nodes[1]):
@@ -257,9 +308,7 @@ def flat_of_lens(
         for number, (down, across, sign) in enumerate(orders):
             if not moments[:, :, channel, number].any():
                 continue
-            spline = scipy.interpolate.RectBivariateSpline(
-                *nodes, moments[:, :, channel, number], kx=4, ky=4
-            )
+            spline = scipy.interpolate.RectBivariateSpline(*nodes, moments[:, :, channel, number])
             flat += sign * spline(rows, cols, dx=down, dy=across)
             axis += sign * spline(0, 0, dx=down, dy=across).item()
         flats.append(flat / axis)

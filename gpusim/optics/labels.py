@@ -81,11 +81,9 @@ class _Placing:
     @classmethod
     def of(cls, scene: Scene, camera: Camera) -> "_Placing":
         optics, sensor = camera.optics, camera.sensor
-        distortion = optics.distortion
-        if scene.projection == IMAGE:
-            distortion = None  # the samples are displaced already
-        if distortion is not None:
-            distortion = fit_to_frame(distortion, scene.shape, sensor.pixel_pitch)
+        distortion: Model | None = None
+        if optics.distortion is not None and scene.projection != IMAGE:  # else displaced already
+            distortion = fit_to_frame(optics.distortion, scene.shape, sensor.pixel_pitch)
         stride, _ = bin_mosaic(sensor.cfa_indices, sensor.binning)
         pixels = [
             _middles(n, parts, step)

@@ -80,9 +80,9 @@ def view_panorama(
         )
     cols, rows = (checked_count(f"size of {scene.name}", n, 1) for n in size)
     ratio = float(scene.samples_per_pixel if samples_per_pixel is None else samples_per_pixel)
-    model = optics.distortion
-    if model is not None:
-        model = fit_to_frame(model, (rows, cols), sensor.pixel_pitch)
+    model: Model | None = None
+    if optics.distortion is not None:
+        model = fit_to_frame(optics.distortion, (rows, cols), sensor.pixel_pitch)
     slope = sensor.pixel_pitch / optics.image_distance
     if scene.fov:
         slope = 2 * np.tan(scene.fov / 2) / cols
@@ -92,8 +92,9 @@ def view_panorama(
     content = scene.content.on_host()
     planes, spectra = _linear_planes(content)
     count = len(planes)
-    require_memory(f"what {camera.name} sees of {scene.name}", 8 * count * samples[0] * samples[1])
-    levels = list(_halved(planes))
+    needed = 4 * count * (samples[0] * samples[1] + 3 * planes[0].size)
+    require_memory(f"what {camera.name} sees of {scene.name}", needed)
+    levels = list(_halved(np.ascontiguousarray(np.moveaxis(planes, 0, -1))))
     out = np.zeros((count, *samples), np.float32)
     labels = {name: np.zeros(samples, label.dtype) for name, label in scene.labels.items()}
     dark, inside = 0, np.s_[margin : samples[0] - margin, margin : samples[1] - margin]
@@ -118,7 +119,7 @@ def view_panorama(
     if dark:
         share = 100 * dark / (rows * cols * ratio**2)
         notes = (*notes, f"the lens's image ends within the frame: {share:.3g} % of it are dark")
-    seen = Cube(content.wavelengths, out)
+    seen: Content = Cube(content.wavelengths, out)
     if spectra is not None:
         seen = Basis(content.wavelengths, out, spectra)
     return replace(
@@ -139,7 +140,9 @@ def lens_key(camera: Camera) -> tuple:
     optics, pitch = camera.optics, camera.sensor.pixel_pitch
     illumination = optics.relative_illumination
     kind = illumination if isinstance(illumination, str) else "given"
-    return optics.distortion, pitch, optics.image_distance, kind
+    # a calibration has its own focal length
+    focal = None if isinstance(optics.distortion, Calibration) else optics.image_distance
+    return optics.distortion, pitch, focal, kind
 
 
 def _linear_planes(content: Content):
@@ -164,32 +167,33 @@ def _seen(levels, rays, optics, down, across, step):
     """Return the light of places (K, len(down), len(across)), the mean over the area of each."""
     height, width = len(down), len(across)
     # samples of the panorama in a place, by the angle between places
-    ratio = rays.largest_step(down, across, step) / (pi / levels[0].shape[1])
+    ratio = rays.largest_step(down, across, step) / (pi / levels[0].shape[0])
     level = 0
     while 2 * ratio > MOST_PARTS and level + 1 < len(levels):
         level, ratio = level + 1, ratio / 2
-    planes = levels[level]
+    panorama = levels[level]
+    rows, cols, count = panorama.shape
     parts = min(ceil(2 * ratio) + 1, MOST_PARTS)
     offsets = ((np.arange(parts) + 0.5) / parts - 0.5) * step
     even = not isinstance(optics.relative_illumination, str)
     lit, entries = np.zeros(height * width), []
     for dy in offsets:
         for dx in offsets:
-            y, x, is_seen = rays.places(down[:, None] + dy, across + dx, planes.shape[1:])
+            y, x, is_seen = rays.places(down[:, None] + dy, across + dx, (rows, cols))
             gain = np.where(is_seen, rays.gains(down[:, None] + dy, across + dx, optics), 0.0)
             lit += is_seen.ravel() / parts**2
-            entries += _bilinear(y, x, gain / parts**2, planes.shape[1:])
+            entries += _bilinear(y, x, gain / parts**2, (rows, cols))
     weights, samples = (np.concatenate(part) for part in zip(*entries, strict=True))
     owners = np.tile(np.arange(height * width), len(entries))
-    size = height * width, planes.shape[1] * planes.shape[2]
-    matrix = scipy.sparse.csr_matrix((weights, (owners, samples)), shape=size)
-    seen = (matrix @ planes.reshape(len(planes), -1).T.astype(np.float64)).T
+    size = height * width, rows * cols
+    matrix = scipy.sparse.csr_matrix((weights.astype(np.float32), (owners, samples)), shape=size)
+    seen = (matrix @ panorama.reshape(-1, count)).T
     if even:
         # the mean of the panorama, however the lens spreads it
         total = np.asarray(matrix.sum(axis=1)).ravel()
         level = rays.level * np.where(lit > 0.5, 1.0, 0.0)
         seen = seen * np.divide(level, total, out=np.zeros_like(total), where=total > 0)
-    return seen.reshape(len(planes), height, width)
+    return seen.reshape(count, height, width)
 
 
 def _bilinear(y, x, weights, shape):
@@ -212,11 +216,11 @@ def _bilinear(y, x, weights, shape):
 
 
 def _halved(planes) -> Iterator[np.ndarray]:
-    """Yield planes, and their means over 2 x 2, 4 x 4 ... samples while both sides are even and long."""
+    """Yield planes (rows, cols, K), and means over 2 x 2, 4 x 4 ... samples while both sides are even and long."""
     yield planes
-    while min(planes.shape[1:]) >= 32 and planes.shape[1] % 2 == 0 and planes.shape[2] % 4 == 0:
-        count, rows, cols = planes.shape
-        planes = planes.reshape(count, rows // 2, 2, cols // 2, 2).mean(axis=(2, 4))
+    while min(planes.shape[:2]) >= 32 and planes.shape[0] % 2 == 0 and planes.shape[1] % 4 == 0:
+        rows, cols, count = planes.shape
+        planes = planes.reshape(rows // 2, 2, cols // 2, 2, count).mean(axis=(1, 3))
         yield planes
 
 

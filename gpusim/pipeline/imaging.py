@@ -109,7 +109,7 @@ class Imaging:
         nodes = place_samples(view, **_placing_constants(plan), device=self.device)
         by_area = grid is not None and grid.method == "area"
         gains = None
-        if by_area and grid.is_even:
+        if by_area and grid is not None and grid.is_even:
             gains = even_samples(view, **_placing_constants(plan), device=self.device)
         return place_planes(
             light,
@@ -130,7 +130,8 @@ class _Steps:
     def __init__(self, plan: Plan, imaging: Imaging, prefix: str = ""):
         self.plan, self.imaging, self.prefix = plan, imaging, prefix
         self.device, self.sensor = imaging.device, imaging.camera.sensor
-        self.samples, self.pixels = prod(plan.content.shape), prod(plan.scene.shape)
+        self.pixels = prod(plan.scene.shape)
+        self.samples = prod(_visible_shape(plan) if plan.find(Blur) else plan.content.shape)
         self.seen, self.channels = prod(plan.scene.samples), len(plan.weights)
         self.blur, self.tiling, self.far = plan.find(Blur), plan.find(Tiling), plan.find(FarField)
         self.varying, self.depth = plan.find(FieldBlur), plan.find(DepthPlan)
@@ -141,8 +142,8 @@ class _Steps:
         self.transfers = None if fusion is None else fusion.transfers
         self.gains = None if falloff is None else falloff.gains
         self.flat_of_blur = None if falloff is None else falloff.field
-        # pixels around the frame that the distortion's grid covers
-        self.grid_margin = plan.scene.margin / plan.scene.samples_per_pixel if self.blur else 0.0
+        # samples around the frame's: the scene's margin, and what the lens displaces beyond
+        self.margin = plan.scene.margin + (self.blur.rim if self.blur else 0)
         self.folded = self.blur is not None and self.blur.folded
         self.count = len(plan.content.entry_spectra if self.table is None else self.table)
 
@@ -177,8 +178,8 @@ class _Steps:
             {"table": self.table},
             run=make_planes,
             words=self.words(stage),
-            nbytes=4 * self.count * self.samples * has_table,
-            work=float(plan.content.nbytes + 4 * self.count * self.samples) * has_table,
+            nbytes=4 * self.count * prod(plan.content.shape) * has_table,
+            work=float(plan.content.nbytes + 4 * self.count * prod(plan.content.shape)) * has_table,
         )
         steps = []
         if plan.is_placed:
@@ -213,11 +214,11 @@ class _Steps:
                     run=zoom_of if by_area else no_zoom,
                 ),
             ]
-            gains = ()
-            if by_area and self.grid.is_even:
-                gains = (f"{prefix}evening",)
+            gains = []
+            if by_area and self.grid is not None and self.grid.is_even:
+                gains = [f"{prefix}evening"]
                 constants = {**_placing_constants(plan), "device": self.device}
-                steps.append(Step(*gains, "", ("view",), constants, run=even_samples))
+                steps.append(Step(gains[0], "", ("view",), constants, run=even_samples))
             # the channels' light, without and with their surroundings
             light = 1 if self.blur is None else 2
             if not by_depth:
@@ -254,7 +255,7 @@ class _Steps:
 
     def rates(self) -> tuple[list[Step], np.ndarray]:
         """Return the steps to "rates", electrons per second (1 or C, rows, cols), and the mosaic of these planes."""
-        plan, cfa = self.plan, self.sensor.cfa_indices
+        cfa = self.sensor.cfa_indices
         if self.blur is None or (
             not self.folded
             and (self.lights is None or self.taps is not None or self.sensor.stacked)
@@ -262,7 +263,7 @@ class _Steps:
             return self.channels_to("rates"), cfa
         chain = Chain("planes", "rates", Rate.SCENE, self.device)
         if self.folded:
-            self._add_uniform_blur(chain, cfa, plan.scene.margin)
+            self._add_uniform_blur(chain, cfa, self.margin)
         else:
             self._add_blur(chain)  # the mosaic, for one second
             chain.add(
@@ -349,7 +350,7 @@ class _Steps:
                 {
                     "mix": self.blur.mix,
                     "border": _border(plan),
-                    "margin": plan.scene.margin - self.blur.spare,
+                    "margin": self.margin - self.blur.spare,
                 },
                 planes_,
                 tables,
@@ -555,7 +556,8 @@ class _Steps:
                     "slope": plan.slope,
                     "falloff": self.gains,
                     "nodes": None if self.grid is None else self.grid.nodes,
-                    "margin": self.grid_margin,
+                    # pixels around the frame that the distortion's nodes cover
+                    "margin": self.margin / plan.scene.samples_per_pixel if self.blur else 0.0,
                     "field": self.flat_of_blur,
                     "binning": sensor.binning,
                     "stride": stride,
@@ -703,8 +705,12 @@ def _border(plan):
 
 
 def _visible_shape(plan):
-    """Return the rows and columns that contribute: the frame, with its margin if there is a blur."""
-    return plan.content.shape if plan.find(Blur) else plan.scene.samples
+    """Return the rows and columns that contribute: the frame, with its margin and the blur's rim if there is one."""
+    blur_ = plan.find(Blur)
+    if blur_ is None:
+        return plan.scene.samples
+    rows, cols = plan.content.shape
+    return rows + 2 * blur_.rim, cols + 2 * blur_.rim
 
 
 def _window(plan):

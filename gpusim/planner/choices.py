@@ -28,12 +28,14 @@ class Blur:
         period: Lengths of the transforms [sample].
         folded: Whether the blur gives the mosaic at once, in transforms of its phases.
         spare: Blurred samples around the scene's that are used.
+        rim: Samples around the scene's and its margin that the lens has displaced, too.
     """
 
     mix: np.ndarray
     period: tuple[int, int]
     folded: bool = False
     spare: int = 0
+    rim: int = 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -170,6 +170,7 @@ def _geometry(plan, made, question, probes, notes):
     pixels.choose_distortion(question, made, None, own)
     if made is not None and plan.find(DistortionGrid) is None and probes is not None:
         notes.bounds.pop("distortion", None)
+        notes.bounds.pop("distorted border", None)
         move = float(np.hypot(made.nodes[..., 0], made.nodes[..., 1]).max())
         notes.leave_out(
             f"distortion by up to {move:.2g} of a sample",

@@ -411,14 +411,14 @@ def plan(
     distortion = pixels.choose_distortion(question, placed, probes, notes)
     pixels.describe_calibration(question, notes)
     falloff, slope = pixels.falloff_of(question, probes, notes)
-    around = seen.around
+    around, rim = seen.around, question.rim if distortion else 0
     if around:
         around.describe(question, notes)
     spectral.describe_unseen(question, notes)
     pixels.describe(question, taps, notes)
     choices = (
         *seen.way.choices,
-        around and Blur(seen.way.mix, around.period, seen.folded, spare),
+        around and Blur(seen.way.mix, around.period, seen.folded, spare, rim),
         around and around.tiling,
         around and around.far,
         picture.highlights,

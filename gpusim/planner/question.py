@@ -15,6 +15,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import IMAGE, Scene
 from gpusim.domain.sensor import Sensor
+from gpusim.optics.geometry import rim_of
 from gpusim.optics.lens import Lens, open_lens
 from gpusim.optics.panorama import lens_key
 from gpusim.optics.tables import Caching, Tables
@@ -44,7 +45,8 @@ class Question:
         content: The content that goes through the blur.
         ratio: Scene samples per pixel.
         pitch: Distance of the samples [m].
-        size: Rows and columns of the scene's samples, margin included.
+        rim: Samples around these that the lens displaces too, because a blur brings them in.
+        size: Rows and columns of the blur's samples: the scene's, its margin, and the rim.
         corner: Distance of the frame's corner from the axis [sample].
         aperture: Height and width of a pixel's aperture [pixel].
         cell: Height and width over which blurred samples are integrated [sample].
@@ -77,6 +79,7 @@ class Question:
     content: Content = field(init=False)
     ratio: float = field(init=False)
     pitch: float = field(init=False)
+    rim: int = field(init=False)
     size: tuple[int, int] = field(init=False)
     corner: float = field(init=False)
     aperture: tuple[float, float] = field(init=False)
@@ -120,13 +123,23 @@ class Question:
             sensor.displacement if ratio == 1 else (0.0, 0.0),
             (ratio * axis[0], ratio * axis[1]),
         )
+        rim = 0
+        if (
+            distortion is not None
+            and not lens.is_pointlike
+            and lens.is_uniform
+            and scene.depth is None
+        ):
+            rim = rim_of(distortion, scene.content.shape, pitch)
+        more = 2 * (scene.margin + rim)
         for name, value in {
             "optics": optics,
             "sensor": sensor,
             "content": self.facts.content,
             "ratio": ratio,
             "pitch": pitch,
-            "size": (rows + 2 * scene.margin, cols + 2 * scene.margin),
+            "rim": rim,
+            "size": (rows + more, cols + more),
             "corner": float(np.hypot(rows, cols)) / 2,
             "aperture": aperture,
             "cell": cell,

@@ -74,7 +74,7 @@ def radiance_codes(scene: Scene, step: int = 1) -> tuple[np.ndarray, float]:
 
     Also returns the luminance of white [cd m-2]. step: above 1, only one of `step` samples is used.
     """
-    scene = _apply_view(checked_scene(scene))
+    scene = _apply_view(checked_scene(scene, True))
     weights, white = _eye(scene)
     if step > 1:
         window = slice(scene.margin, -scene.margin or None, step)
@@ -109,7 +109,7 @@ def spectra(scene: Scene, at: Any = None, ax: Any = None, *, quantity: str = "ra
         UnknownName: if the quantity is unknown.
     """
     check_known("quantity", quantity, QUANTITIES)
-    scene = _apply_view(checked_scene(scene))
+    scene = _apply_view(checked_scene(scene, True))
     if quantity == "reflectance" and not scene.light_is_known:
         raise BadData(
             f"spectra: {scene.name} is radiance of an unknown light; wanted another quantity than "
@@ -186,7 +186,7 @@ def inspect(scene: Scene, *, quantity: str = "radiance") -> Any:
     Raises:
         GpusimError: as raised by `scene` and `spectra`.
     """
-    scene = _apply_view(checked_scene(scene))
+    scene = _apply_view(checked_scene(scene, True))
     figure, axes = panels(None, 1, 2, (11.0, 4.4))
     left, right = axes[0]
     draw_scene(scene, left)

@@ -276,6 +276,31 @@ def test_frames_files_batches_and_pairs_have_labels(tmp_path):
     assert simulator.expose(plain, 1e-2).frame().labels == {}
 
 
+def test_openexr_holds_ids(tmp_path):
+    """gpusim's channels, and Blender's indices of objects and materials as another program writes them."""
+    import OpenEXR
+
+    scene = scene_of(1, VIEWS["plain"])
+    ids = scene.labels["instance"]
+    gs.save_scene(replace(scene, labels={"instance": ids, "wall": ids > 0}), tmp_path / "a.exr")
+    back = gs.open_scene(tmp_path / "a.exr").labels
+    assert (back["instance"] == ids).all() and (back["wall"] == (ids > 0)).all()
+    channels = {name: np.ones((ROWS, COLS), np.float32) for name in "RGB"}
+    channels["ViewLayer.IndexOB.X"] = ids.astype(np.float32)
+    channels["ViewLayer.IndexMA.X"] = ids.astype(np.uint32) * 2
+    OpenEXR.File({}, channels).write(str(tmp_path / "blender.exr"))
+    read = gs.open_scene(tmp_path / "blender.exr").labels
+    assert (read["instance"] == ids).all() and (read["material"] == 2 * ids).all()
+    channels["ViewLayer.IndexOB.X"] = ids.astype(np.float32) + np.float32(0.5)
+    OpenEXR.File({}, channels).write(str(tmp_path / "half.exr"))
+    with refused("half.exr", "IndexOB", "whole numbers"):
+        gs.open_scene(tmp_path / "half.exr")
+    with refused("boxes or flow"):
+        gs.save_scene(scene, tmp_path / "b.exr")
+    with refused("2^24"):
+        gs.save_scene(replace(scene, labels={"far": ids + 2**25}), tmp_path / "b.exr")
+
+
 @pytest.mark.parametrize(
     ("labels", "message"),
     [
@@ -287,6 +312,7 @@ def test_frames_files_batches_and_pairs_have_labels(tmp_path):
         ({"boxes": [[5, 0, 1, 4]]}, "top <= bottom"),
         ({"depth": np.ones((ROWS, COLS), int)}, "depth is an argument of its own"),
         ({"a b": np.ones((ROWS, COLS), int)}, "letters, digits"),
+        ({"instance": [[1, 2], [3]]}, "label instance: wanted an array"),
         ([1], "labels list, wanted a dict"),
     ],
 )

@@ -238,6 +238,9 @@ def test_what_a_user_gets_wrong_is_said():
         panorama(depth=np.ones(PANORAMA, np.float32))
     even, _ = fisheye_camera("equidistant")
     seen = gs.view_panorama(panorama(), even)
+    with refused("yaw, pitch and roll", error=BadData):
+        replace(seen, view=gs.View((1.0, 0.0)))
+    assert "a panorama" in repr(panorama()) and "a lens's image" in repr(seen)
     with refused("image of another lens", error=BadData):
         gs.Simulator(camera_with(None), device="numpy")(seen)
     with refused('projection="equirectangular"', error=BadData):

@@ -92,7 +92,7 @@ def _exr(path, white, bands=None, ray=None, no_depth=False):
         how = "along each pixel's ray" if ray else "along the optical axis"
         notes = (*notes, f"depth: channel {held.depth_channel!r}, taken as metres {how}")
     with name_in_errors(path):
-        return Scene(content, **parts, notes=notes)
+        return Scene(content, **parts, notes=notes, labels=held.labels)
 
 
 def _npz(path, white, no_depth=False):

@@ -12,7 +12,7 @@ import numpy as np
 from gpusim.domain.errors import BadFile
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.memory import require_memory
-from gpusim.domain.scene import Scene
+from gpusim.domain.scene import BOXES, FLOW, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.exr import write_spectral_exr
 from gpusim.io.files import name_in_errors, reading
@@ -58,13 +58,21 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
             "values": scene.illuminant.values.tolist(),
         }
     depth = {} if scene.depth is None else {DEPTH: np.asarray(scene.depth)}
+    labels = {
+        f"label.{name}": label for name, label in scene.labels.items() if name not in (FLOW, BOXES)
+    }
+    if len(labels) < len(scene.labels):
+        raise BadFile(path, f"{scene.name} has boxes or flow, which only an .npz holds")
+    for name, label in labels.items():
+        if np.abs(label, dtype=np.float64).max() >= 2**24:  # float32's whole numbers
+            raise BadFile(path, f"{name}: numbers from 2^24 on, which only an .npz holds")
     write_spectral_exr(
         path,
         scene.wavelengths,
         values,
         reflectance=reflectance,
         half=half,
-        more=depth,
+        more=depth | labels,
         **{ATTRIBUTE: json.dumps(parts)},
     )
 

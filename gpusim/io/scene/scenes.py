@@ -19,7 +19,7 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.memory import describe_array, type_of
-from gpusim.domain.scene import PANORAMA, Scene, checked_scene
+from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
 from gpusim.io.scene.depth import check_depth
 from gpusim.io.scene.npz import write_npz
@@ -156,9 +156,7 @@ def save_scene(
         UnknownName: if the suffix is unknown.
         DoesNotFit: if the cube does not fit into memory.
     """
-    if not (isinstance(scene, Scene) and scene.projection == PANORAMA):
-        checked_scene(scene)
-    suffix = Path(path).suffix.lower()
+    suffix, scene = Path(path).suffix.lower(), checked_scene(scene, True)
     if suffix == ".exr":
         write_scene_exr(path, scene, radiance=radiance, half=half)
     elif suffix != ".npz":

@@ -15,6 +15,8 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import IMAGE
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.geometry import (
+    FIELD_NODES,
+    RIMS,
     DistortionGrid,
     distortion_grid,
     flat_of_lens,
@@ -133,7 +135,9 @@ def plan_distortion(
     if distortion is None:
         return None
     seen = question.size if question.is_blurred else question.scene.samples
-    made = distortion_grid(distortion, seen, question.pitch, question.size)
+    made = distortion_grid(distortion, seen, question.pitch, question.scene.content.shape)
+    if question.is_blurred:
+        notes.bounds["distorted border"] = _border_bound(question, made, told())
     (move, flux), (most, largest) = made.typical, made.error
     usual, worst = told().shift_error(move), told().shift_error(most)
     bright, brightest = told().brightness_error(flux), told().brightness_error(largest)
@@ -153,6 +157,28 @@ def plan_distortion(
         )
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
     return made
+
+
+def _border_bound(question, made, probes):
+    """Error of light from beyond the rim, where the border's rule holds for the distorted picture.
+
+    The flat field goes on changing there. The share of the light that comes from beyond r is that of diffraction,
+    q / (pi^2 r); if the blur is wider than the rim, half of the light comes from within its width.
+    """
+    flux, (rows, cols) = made.nodes[..., 2], made.nodes.shape[:2]
+    down, across = (n / (count - 1) for n, count in zip(question.size, (rows, cols), strict=True))
+    sides = (flux[:2], down), (flux[-2:], down), (flux.T[:2], across), (flux.T[-2:], across)
+    slope = max(np.abs(np.diff(pair, axis=0) / pair.max()).max() / step for pair, step in sides)
+    width = max(question.spread, 2 * question.deviation, 1.0)
+    around = question.rim + question.scene.margin
+    far = max(around, width)
+    share = min(0.5, question.mean_q / (np.pi**2 * far))
+    error = share * min(1.0, float(slope) * RIMS[0])
+    if width > around:
+        error += 0.5 * min(1.0, float(slope) * width)
+    bound = probes.brightness_error(error)
+    strip = min(1.0, 2 * far * sum(1 / n for n in question.scene.samples))
+    return replace(bound, rms=bound.rms * sqrt(strip))
 
 
 def _with_rim(question: Question, probes: Probes, error: Callable[[Probes], Bound]) -> Bound:
@@ -180,6 +206,7 @@ def choose_distortion(
         others = {**notes.bounds}
         others.pop("distortion", None)
         others.pop("distortion grid")
+        others.pop("distorted border", None)
         if SAFETY * total([*others.values(), bound]).ratio(question.tolerance) <= 1:
             notes.bounds = others
             words = f"distortion by up to {move:.2g} of a sample"
@@ -190,6 +217,7 @@ def choose_distortion(
     if isinstance(question.optics.relative_illumination, str):
         return made
     notes.models["optics.distort"] += "; flat fields as the relative illumination says"
+    assert question.distortion is not None  # it made the grid
     return made.even(flat_on_axis(question.distortion))
 
 
@@ -249,7 +277,7 @@ def falloff_of(
             displacement=from_axis,
         )
         if not question.lens.is_uniform:
-            field = _flat_of_blur(question, from_axis, notes)
+            field = _flat_of_blur(question, from_axis, probes, notes)
             curve = curve / field
         parts["relative illumination as given"] = curve
     elif scene.projection != IMAGE:  # else its light has it
@@ -288,7 +316,7 @@ def falloff_of(
     return None if gains is None else Falloff(gains, field), float(slope)
 
 
-def _flat_of_blur(question, from_axis, notes):
+def _flat_of_blur(question, from_axis, probes, notes):
     """Flat field of a blur that varies, at every pixel, relative to the axis, (rows, cols)."""
     ratio, wavelengths = question.ratio, question.content.wavelengths
     rows, cols = (
@@ -298,19 +326,17 @@ def _flat_of_blur(question, from_axis, notes):
     nodes, between = wavelength_nodes(wavelengths, FIELD_WAVELENGTHS)
     weights = np.vstack([question.light, question.weights])
     shares = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300) @ between
-    every, *each = question.cache(
-        "flat field of the blur",
-        flat_of_lens,
-        question.lens,
-        nodes,
-        shares,
-        rows,
-        cols,
-        question.corner,
-    )
+    given = question.lens, nodes, shares, rows, cols, question.corner
+    every, *each = question.cache("flat field of the blur", flat_of_lens, *given)
+    # by splines through fewer places, which err more
+    fewer = (FIELD_NODES[0] // 2 + 1, FIELD_NODES[1] // 2 + 1)
+    coarse = question.cache("coarse flat field", flat_of_lens, *given, fewer)[0]
+    rough = float(np.sqrt(np.mean((coarse / every - 1) ** 2))) / 2
     apart = max(float(np.sqrt(np.mean((one / every - 1) ** 2))) for one in each)
     wider = question.cache("widening", widening, question.lens, nodes, question.corner)
-    notes.bounds["flat field of the blur"] = Bound(float(np.hypot(apart, wider)))
+    error = float(np.hypot(apart, wider) + rough)
+    bound = Bound(error) if probes is None else probes.brightness_error(error)
+    notes.bounds["flat field of the blur"] = bound
     return every
 
 
