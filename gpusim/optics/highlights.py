@@ -33,7 +33,7 @@ PER_RING = 64  # samples of a radial table to a diffraction ring
 # of any pupil: half sides of exact cores, the least in q and in radii of the rays through the rim, and waves summed for
 # all of them: a second on a core of Zen 4
 CORES = (8, 12, 16, 24, 32, 48, 64, 96, 128)
-LEAST_RINGS, LEAST_RAYS, MOST_WAVES = 12.0, 1.5, 1.5e8
+LEAST_RINGS, LEAST_RAYS, MOST_WAVES = 12.0, 1.5, 2e8
 MOST_SPOTS = 32  # places in the field that have kernels of their own
 FINER = 2.0  # parts of a pixel to a diffraction ring at least, 8 parts at most
 PROBED = 12  # rows and columns at which the light beyond a core is compared with exact light
@@ -211,7 +211,9 @@ class PointKernels:
         )
         radius = np.hypot(y[..., None, None] + down[:, None], x[..., None, None] + across)
         radii = self.step * np.arange(self.profiles.shape[1])
-        light = np.stack([np.interp(radius, radii, one).mean(axis=(-2, -1)) for one in self.profiles])
+        light = np.stack(
+            [np.interp(radius, radii, one).mean(axis=(-2, -1)) for one in self.profiles]
+        )
         for own, found in zip(light, self.streaks, strict=False):
             own += points.streak_light(found, y, x, self.width)
         return light
@@ -243,7 +245,9 @@ def point_kernels(q, aperture: float, reach: int) -> PointKernels:
     profiles = np.stack([np.convolve(airy_density(padded, one), smooth, "valid") for one in q])
     both = (parts, parts), (spread, spread)
     centre = np.zeros((1, 2))
-    return PointKernels(cores[None], profiles[:, : len(radii)], step, *both, centre, is_quarter=True)
+    return PointKernels(
+        cores[None], profiles[:, : len(radii)], step, *both, centre, is_quarter=True
+    )
 
 
 def has_airy_kernels(lens: Lens) -> bool:
@@ -350,7 +354,9 @@ def beyond_errors(lens: Lens, wavelengths, weights, core: int) -> tuple[float, f
     return float(rms[there].max(initial=0)), float((wrong / light)[there].max(initial=0))
 
 
-def beyond_light(lens: Lens, wavelength: float, lights: Highlights, levels, rows, cols) -> np.ndarray:
+def beyond_light(
+    lens: Lens, wavelength: float, lights: Highlights, levels, rows, cols
+) -> np.ndarray:
     """Return the light that the brightest points give to pixels beyond their cores, (len(rows), len(cols)).
 
     wavelength: that stands for all [nm]. levels: light of each point, (N,). rows, cols: as `Highlights.places`.

@@ -35,7 +35,9 @@ from gpusim.domain.pupil import Pupil
 PER_RING = 64  # samples of a radial profile to a diffraction ring
 DIRECTIONS = 48  # around a circle, for means
 LOG_STEPS = 400  # of smooth profiles along the radius
-ACROSS = 256  # [sample] from a streak's middle up to which it is tabled; beyond, its light falls as a^-2
+ACROSS = (
+    256  # [sample] from a streak's middle up to which it is tabled; beyond, its light falls as a^-2
+)
 FINE = 8  # samples of a streak's profile per sample of the image
 
 
@@ -81,7 +83,9 @@ def _field(outline: Pupil, wave, rows, cols, turns) -> np.ndarray:
     if outline.obscuration:
         circles.append((-1.0, outline.obscuration, Pupil()))
     for sign, radius, shape in circles:
-        many = ceil(pi * turns * radius) + 16  # nodes of a chord; a circle's angle runs faster by pi / 2
+        many = (
+            ceil(pi * turns * radius) + 16
+        )  # nodes of a chord; a circle's angle runs faster by pi / 2
         y, left, right, weight = (radius * part for part in _chords(shape, ceil(pi / 2 * many)))
         nodes, mass = _gauss(many)
         middle, half = (left + right) / 2, (right - left) / 2
@@ -257,9 +261,7 @@ def streaks(outline: Pupil, wave, q: float, centre, part, spots, diffuser: float
     for number, angle in enumerate(sides):
         normal = np.array([np.sin(angle), np.cos(angle)])  # (y, x)
         tangent = np.array([np.cos(angle), -np.sin(angle)])
-        y, x = (
-            outline.inner_radius * normal[i] + half * nodes * tangent[i] for i in (0, 1)
-        )
+        y, x = (outline.inner_radius * normal[i] + half * nodes * tangent[i] for i in (0, 1))
         line = number % len(angles)
         # the line's own tangent: that of its first side
         own = np.array([np.cos(angles[line]), -np.sin(angles[line])])

@@ -64,7 +64,9 @@ def _streaks(y, x, streaks, lines, corner, fine, width):
     for streak, (ny, nx) in zip(streaks, lines, strict=True):
         along, across = y * ny + x * nx, y * nx - x * ny
         value = np.interp(across, at, streak)
-        value = value * np.where(abs(across) > at[-1], (at[-1] / np.where(across, across, 1)) ** 2, 1)
+        value = value * np.where(
+            abs(across) > at[-1], (at[-1] / np.where(across, across, 1)) ** 2, 1
+        )
         total = total + along**2 / square**2 * value
         slants.append(along * across / (across**2 + width**2))
     if len(slants) > 1:

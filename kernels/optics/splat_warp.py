@@ -89,7 +89,9 @@ def splat(
                         place = wp.clamp(across * fine + last, 0.0, 2.0 * last)
                         n = wp.min(int(place), samples - 2)
                         low = streaks[kernel, channel, k, n]
-                        value = low + (place - float(n)) * (streaks[kernel, channel, k, n + 1] - low)
+                        value = low + (place - float(n)) * (
+                            streaks[kernel, channel, k, n + 1] - low
+                        )
                         far += along * along / (square * square) * value * (ratio * ratio)
                         slant = along * across / (across * across + width * width)
                         if k == 0:
@@ -98,6 +100,8 @@ def splat(
                             both += before * slant
                         before = slant
                     if count > 1:
-                        far += corners[kernel, channel] * (both + before * first) / (square * square)
+                        far += (
+                            corners[kernel, channel] * (both + before * first) / (square * square)
+                        )
                     total += strength[h] * wp.max(far, 0.0)
     out[y, x] = mosaic[y, x] + total
