@@ -13,10 +13,9 @@ rim of its pupil spreads (`lens_kernels`, `gpusim.optics.points`). Measured spre
 """
 
 from dataclasses import dataclass, replace
-from math import ceil, pi
+from math import ceil
 
 import numpy as np
-import scipy
 from scipy.special import j1
 
 from gpusim.domain.content import Content

@@ -57,9 +57,9 @@ def ring(hole):
 
 def coma(waves):
     """Field of a circle with W = waves sqrt(8) (3 r^3 - 2 r) sin t, Noll's polynomial 7."""
-    nodes, mass = np.polynomial.legendre.leggauss(40)
-    r, t = (nodes + 1) / 2, 2 * np.pi * np.arange(120) / 120
-    weight = np.outer(mass / 2 * r, np.full(120, 2 * np.pi / 120)).ravel()
+    nodes, mass = np.polynomial.legendre.leggauss(60)
+    r, t = (nodes + 1) / 2, 2 * np.pi * np.arange(320) / 320
+    weight = np.outer(mass / 2 * r, np.full(320, 2 * np.pi / 320)).ravel()
     path = (waves * np.sqrt(8) * np.outer(3 * r**3 - 2 * r, np.sin(t))).ravel()
     down, across = np.outer(r, np.sin(t)).ravel(), np.outer(r, np.cos(t)).ravel()
 

@@ -8,7 +8,6 @@ import numpy as np
 from gpusim.domain.account import Bound
 from gpusim.domain.errors import BadData
 from gpusim.optics.highlights import (
-    CORE,
     MOST,
     MOST_SPOTS,
     THRESHOLD,
@@ -152,7 +151,7 @@ def whole(question: Question) -> Picture:
 
 def split(question: Question) -> tuple[Question, Picture]:
     """Return the question without highlights, and the picture."""
-    scene, picture = question.scene, whole(question)
+    picture = whole(question)
     if not can_be_split(question) or not picture.is_spiky:
         return question, picture
     brightness = picture.brightness.copy()
