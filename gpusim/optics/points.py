@@ -25,6 +25,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations, pairwise
 from math import ceil, pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -78,7 +79,7 @@ def _field(outline: Pupil, wave, rows, cols, turns) -> np.ndarray:
 
     rows, cols: places and offsets along an axis, (n,) and (m,). turns: of the phase, per radius, at most.
     """
-    total: np.ndarray | float = 0.0
+    total: Any = 0.0
     circles = [(1.0, 1.0, outline)]
     if outline.obscuration:
         circles.append((-1.0, outline.obscuration, Pupil()))
