@@ -32,7 +32,7 @@ PER_RING = 64  # samples of a radial table to a diffraction ring
 # of any pupil: half sides of exact cores, the least in q and in radii of the rays through the rim, and waves summed for
 # all of them: a second on a core of Zen 4
 CORES = (8, 12, 16, 24, 32, 48, 64, 96, 128)
-LEAST_RINGS, LEAST_RAYS, MOST_WAVES = 12.0, 1.5, 1.5e8
+LEAST_RINGS, LEAST_RAYS, MOST_WAVES = 12.0, 1.5, 2e8
 MOST_SPOTS = 32  # places in the field that have kernels of their own
 FINER = 2.0  # parts of a pixel to a diffraction ring at least, 8 parts at most
 PROBED = 12  # rows and columns at which the light beyond a core is compared with exact light

@@ -23,8 +23,9 @@ with r^-4 (`Streaks`). Sources: Keller, J. Opt. Soc. Am. 52, 116 (1962), for rim
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, pairwise
 from math import ceil, pi, sqrt
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -56,7 +57,7 @@ def _chords(outline: Pupil, count):
     corners = np.stack([np.sin(outline.corners), np.cos(outline.corners)], axis=1)
     levels = np.unique(np.round(corners[:, 0], 12))
     rows = []
-    for low, high in zip(levels[:-1], levels[1:], strict=True):
+    for low, high in pairwise(levels):
         share = (high - low) / 2
         # slopes of the sides at both ends of its rows, and their places at y = 0
         beside = [
@@ -74,11 +75,11 @@ def _chords(outline: Pupil, count):
 
 
 def _field(outline: Pupil, wave, rows, cols, turns) -> np.ndarray:
-    """Return the field at s = place + offset of both axes, complex (places down, offsets down, places and so on across).
+    """Return the field at s = place + offset of both axes, complex (places, offsets, places, offsets), down first.
 
     rows, cols: places and offsets along an axis, (n,) and (m,). turns: of the phase, per radius, at most.
     """
-    total: np.ndarray | float = 0.0
+    total: Any = 0.0
     circles = [(1.0, 1.0, outline)]
     if outline.obscuration:
         circles.append((-1.0, outline.obscuration, Pupil()))
@@ -170,7 +171,8 @@ def round_profile(
 
     Args:
         outline: The pupil; of a polygon only the obstruction counts.
-        wave: See `near_energies`. So is q.
+        wave: See `near_energies`.
+        q: See `near_energies`.
         centre: Middle of the circles over which it is a mean, (rows, cols) from the ideal image [sample].
         radii: Distances from the middle, evenly spaced from 0 on [sample].
         part: Height and width over which it is averaged [sample].

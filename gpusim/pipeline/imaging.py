@@ -1018,9 +1018,8 @@ def make_point_kernels(
 ) -> PointKernels:
     """Return the kernels of points behind a lens: see `gpusim.optics.highlights`."""
     lens = open_lens(optics, pitch, aperture, shape, displacement)
-    height, width = aperture
     if has_airy_kernels(lens) and not spots.any():
-        return point_kernels(q, height, reach)
+        return point_kernels(q, aperture[0], reach)
     return lens_kernels(lens, wavelengths, spots, core, reach)
 
 

@@ -8,7 +8,6 @@ import numpy as np
 from gpusim.domain.account import Bound
 from gpusim.domain.errors import BadData
 from gpusim.optics.highlights import (
-    CORE,
     MOST,
     MOST_SPOTS,
     THRESHOLD,
@@ -110,7 +109,9 @@ class Picture:
         level: electrons of the frame's root mean square.
         """
         split = self.highlights
-        if split is None or not self.level > 0 or has_airy_kernels(question.lens):
+        if split is None or not self.level > 0:
+            return {}
+        if has_airy_kernels(question.lens) and not split.spots.any():
             return {}
         mean, most = beyond_errors(
             question.lens, question.scene.wavelengths, question.weights, split.core
@@ -150,57 +151,70 @@ def whole(question: Question) -> Picture:
 
 def split(question: Question) -> tuple[Question, Picture]:
     """Return the question without highlights, and the picture."""
-    scene, picture = question.scene, whole(question)
+    picture = whole(question)
     if not can_be_split(question) or not picture.is_spiky:
         return question, picture
     brightness = picture.brightness.copy()
     content, highlights = _split_off(question, brightness)
-    apart = None
-    if highlights is not None:
-        question = replace(question, facts=Facts(content))
-        lights = (highlights.spectra @ question.weights.T)[highlights.light]
-        lights *= highlights.strength[:, None]
-        together = (lights.sum(axis=1) ** 2).sum()
-        apart = float((lights**2 @ question.share).sum() / max(together, 1e-300))
+    if highlights is None:
+        return question, picture
+    lights = (highlights.spectra @ question.weights.T)[highlights.light]
+    lights *= highlights.strength[:, None]
+    together = (lights.sum(axis=1) ** 2).sum()
+    apart = float((lights**2 @ question.share).sum() / max(together, 1e-300))
+    question = replace(question, facts=Facts(content))
     return question, replace(picture, brightness=brightness, highlights=highlights, apart=apart)
 
 
 def _split_off(question, brightness):
     """Content and highlights as of `split_highlights`, with kernels at the points' places in the field."""
-    lens, scene = question.lens, question.scene
-    longest, varies = max(question.size), not lens.is_uniform
-    end, most = 0, MOST_SPOTS if varies else MOST
-    strength = 1 / np.pi**3
+    lens, scene, content = question.lens, question.scene, question.facts.samples.whole().on_host()
+    longest, rule = max(question.size), rule_of(scene.border)
+    if has_airy_kernels(lens) and question.distortion is None:
+        return split_highlights(content, brightness, question.q.max(), scene.margin, rule)
+    is_single = lens.is_uniform and question.distortion is None  # one kernel serves all points
+    most, images = MOST, 9 if rule == "reflect" else 1
+    if not is_single:
+        bright = np.count_nonzero(brightness > THRESHOLD * median_of(brightness))
+        most = min(MOST_SPOTS // images, bright)
+        while most > 1 and not core_of(lens, scene.wavelengths, most * images, longest):
+            most //= 2
+    core = core_of(lens, scene.wavelengths, 1 if is_single else most * images, longest)
+    if not core:
+        return content, None
+    q, end = float(question.q.max()), core
     if lens.tail is not None:
-        strength = lens.tail.strength * (2 if lens.tail.lines else 1)
-    airy = has_airy_kernels(lens)
-    core = CORE if airy else core_of(lens, scene.wavelengths, most if varies else 1, longest)
-    if lens.tail is None:
-        end = core
-    content, highlights = split_highlights(
-        question.facts.samples.whole().on_host(),
-        brightness,
-        float(question.q.max()) * (1.0 if airy else strength * np.pi**3),
-        scene.margin,
-        rule_of(scene.border),
-        most,
-        end,
-    )
-    if highlights is None or airy:
-        return content, highlights
+        q, end = q * lens.tail.strength * np.pi**3 * (2 if lens.tail.lines else 1), 0
+    rest, made = split_highlights(content, brightness, q, scene.margin, rule, most, end)
+    if made is None:
+        return rest, None
+    made = replace(made, core=core)
     if lens.tail is not None and lens.tail.lines:  # a streak falls slowly
-        highlights = replace(highlights, reach=np.full_like(highlights.reach, longest))
-    if varies:
-        rows, cols = question.scene.samples
-        places = np.clip(highlights.places, 0, (rows - 1, cols - 1))
-        middle = (
-            (rows - 1) / 2 + question.axis[0] * question.ratio,
-            (cols - 1) / 2 + question.axis[1] * question.ratio,
-        )
-        spots, spot = np.unique((places - middle) / question.corner, axis=0, return_inverse=True)
-        spots = np.column_stack([spots, np.zeros_like(spots)])
-        highlights = replace(highlights, spot=spot.ravel().astype(np.int32), spots=spots)
-    return content, replace(highlights, core=core)
+        made = replace(made, reach=np.full_like(made.reach, longest))
+    if is_single:
+        return rest, made
+    middle = (np.array(scene.samples) - 1) / 2
+    at = _image_places(question, made.places - middle) + middle
+    places = np.rint(at).astype(int)
+    axis = middle + question.ratio * np.array(question.axis)
+    fields = (np.clip(at, 0, 2 * middle) - axis) / question.corner
+    if lens.is_uniform:
+        fields = 0 * fields
+    every = np.round(np.hstack([fields, at - places]), 9)
+    spots, spot = np.unique(every, axis=0, return_inverse=True)
+    if len(spots) > MOST_SPOTS:
+        return content, None
+    return rest, replace(made, places=places, spot=spot.ravel().astype(np.int32), spots=spots)
+
+
+def _image_places(question, at):
+    """Places of the lens's image of samples at (rows, cols) from the frame's middle, both (N, 2) [sample]."""
+    distortion = question.distortion
+    if distortion is None:
+        return at
+    y, x = at.T * (question.pitch / distortion.radius)
+    x, y = distortion.distort(x, y)
+    return np.stack([y, x], axis=1) * (distortion.radius / question.pitch)
 
 
 def can_be_split(question: Question) -> bool:
@@ -209,12 +223,12 @@ def can_be_split(question: Question) -> bool:
     if (
         lens.is_pointlike
         or question.period
-        or question.optics.distortion is not None
         or question.facts.depth is not None
         or not question.scene.view.is_plain
     ):
         return False
-    if has_airy_kernels(lens):
+    if question.distortion is not None and question.scene.border == "reflect":
+        return False  # the mirrored world is distorted, where the formula may not go
+    if has_airy_kernels(lens) and question.distortion is None:
         return True
-    spots = 1 if lens.is_uniform else MOST_SPOTS
-    return core_of(lens, question.scene.wavelengths, spots, max(question.size)) > 0
+    return core_of(lens, question.scene.wavelengths, 1, max(question.size)) > 0
