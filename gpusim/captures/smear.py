@@ -14,6 +14,7 @@ adds behind a rolling shutter.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.ndimage
@@ -119,7 +120,7 @@ class Path:
         """Middles of the paths, as nodes for `optics.distort`."""
         parts = np.linspace(0, 1, FINEST + 1)
         y, _ = _edges(self.scene.content.shape, NODES)
-        light, middle = np.moveaxis([self.light(row, parts) for row in y], 1, 0)  # (rows, pieces)
+        light, middle = np.array([self.light(row, parts) for row in y]).swapaxes(0, 1)
         along = np.array([_nodes(self, part) for part in parts])  # (points, rows, cols, 3)
         found = np.einsum("yk,kyxi->yxi", light * (1 - middle), along[:-1])
         return found + np.einsum("yk,kyxi->yxi", light * middle, along[1:])
@@ -375,7 +376,7 @@ def mixing_form(content: Content) -> Content:
     return Basis(content.wavelengths, samples, spectra)
 
 
-def _mixed(device, content) -> tuple[Content, object, np.ndarray]:
+def _mixed(device, content) -> tuple[Content, Any, np.ndarray]:
     """Return the form of content that interpolates, its planes on the device, and the brightness of each plane."""
     form, table = mixing_form(content), None
     if content.labels is not None:
