@@ -276,17 +276,26 @@ def test_a_burst_of_stacked_pixels_is_merged_layer_by_layer():
 
 
 def test_captures_that_cannot_be():
+    simulator = gs.Simulator(camera(), device="opencl:0")
     with pytest.raises(Conflict, match="nothing to merge"):
         gs.Capture(merged=True)
     with pytest.raises(OutOfRange, match="frames of a burst"):
         gs.Burst(0)
     with pytest.raises(BadData, match="times of reads"):
         gs.Reads(("a",))
+    with pytest.raises(BadData, match="wanted one or more"):
+        gs.Reads(())
+    for take in (
+        lambda: simulator.stream([SCENE], "raw", capture=3),
+        lambda: simulator.batch(2, "raw", capture="burst"),
+        lambda: simulator.loop(SCENE, capture=gs.Motion()),
+    ):
+        with pytest.raises(BadData, match="wanted a Capture"):
+            take()
     with pytest.raises(BadData, match=r"capture\.motion"):
         gs.Capture(motion=3)
     with pytest.raises(OutOfRange, match=r"capture\.period"):
         gs.Capture(period=-1)
-    simulator = gs.Simulator(camera(), device="opencl:0")
     with pytest.raises(OutOfRange, match="times of the reads"):
         gs.Reads((0.02, 0.01)).take(simulator, SCENE)
     with pytest.raises(Conflict, match="own channel"):
