@@ -30,7 +30,7 @@ class Bracket(Capture):
         OutOfRange: A stop gives no valid exposure time.
     """
 
-    stops: tuple[float, ...] = (-2.0, 0.0, 2.0)
+    stops: Sequence[float] = (-2.0, 0.0, 2.0)
 
     _merges = True
 

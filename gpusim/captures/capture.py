@@ -244,6 +244,7 @@ class Light:
         """The exposure of the scene at rest."""
         if self._rest is not None:
             return self._rest()
+        assert isinstance(self.scene, Scene)  # actors move
         return self.simulator.expose(self.scene, self._seconds, self._gain, self._plan)
 
     @property

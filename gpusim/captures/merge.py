@@ -145,7 +145,7 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
         `linear` is as bright as the reference.
 
     Raises:
-        BadData: if the frames do not fit together, or pixels are stacked.
+        BadData: if the frames do not fit together.
         OutOfRange: if an exposure time or the reference is out of range.
     """
     frames = _check_frames("merge_burst", frames, None)
@@ -158,25 +158,33 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
             "for different ones"
         )
     sensor, count = sensors[0], len(frames)
-    if sensor.stacked:
-        raise BadData("merge_burst: stacked pixels; wanted a mosaic or a monochrome sensor")
-    device, period, gain = simulator.device, sensor.cfa_indices.shape, sensor.gain_dn_per_electron
-    checked_stack(np.stack([frame.raw for frame in frames]), reference, period)
+    device, gain = simulator.device, sensor.gain_dn_per_electron
+    period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
+    shape = frames[0].raw.shape
+    one_layer = np.stack([frame.raw.reshape(-1, *shape[-2:])[0] for frame in frames])
+    checked_stack(one_layer, reference, period)
     # fixed offsets count as noise, because frames move
     noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise
     with device.timed() as ms:
-        raw = device.array(_replace_defects(simulator, frames), np.uint16)
-        displacement = align(raw, reference=reference, period=period, device=device)
-        mean = average(
-            raw,
-            displacement,
-            reference=reference,
-            period=period,
-            noise=noise,
-            black_level=sensor.dark_level,
-            device=device,
-        )
-        numbers = device.numpy(mean)
+        # of stacked pixels the brightest layer is aligned, and all move with it
+        raw = _replace_defects(simulator, frames)
+        layers = raw.reshape(count, -1, *shape[-2:]).swapaxes(0, 1)
+        brightest = int(np.argmax([layer.mean() for layer in layers]))
+        stacks = [device.array(np.ascontiguousarray(layer), np.uint16) for layer in layers]
+        displacement = align(stacks[brightest], reference=reference, period=period, device=device)
+        means = [
+            average(
+                stack,
+                displacement,
+                reference=reference,
+                period=period,
+                noise=noise,
+                black_level=sensor.dark_level,
+                device=device,
+            )
+            for stack in stacks
+        ]
+        numbers = np.stack([np.array(device.numpy(mean)) for mean in means]).reshape(shape)
     dark = sensor.noise.operating_dark_current * times[0]
     electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain)
     electrons = electrons - np.float32(count * dark)

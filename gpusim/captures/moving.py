@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.captures.parallax import guess_error, samples_per_radian, see_from
-from gpusim.captures.smear import Path, accumulate, convolve, sum_errors
+from gpusim.captures.smear import Path, accumulate, convolve, mixing_form, sum_errors
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
-from gpusim.domain.content import Basis, Cube
 from gpusim.domain.distortion import fit_to_frame
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.exposure import checked_gain, checked_time
@@ -195,8 +194,18 @@ def expose_motion(
     moving, travels = scene if isinstance(scene, Animation) else None, any(motion.travel)
     scene, sensor = moving.at(start) if moving else checked_scene(scene), simulator.camera.sensor
     checked_time(exposure_time)
+    can_smear = instants is None and moving is None and scene.depth is None and not travels
+    must_smear = False
+    if isinstance(plan, Plan):  # it is for one form of content and one kind of view
+        own = plan.scene
+        can_smear = (
+            can_smear and own.view.is_plain and mixing_form(scene.content).is_like(own.content)
+        )
+        must_smear = can_smear
     if exposure_time is None and sensor.exposure_time is None:
-        metered_by = simulator.expose(scene.viewed(motion.at(start)), None, gain, plan)
+        metered_by = simulator.expose(
+            scene.viewed(motion.at(start)), None, gain, None if must_smear else plan
+        )
         exposure_time, gain = metered_by.exposure_time, metered_by.gain
     seconds = float(sensor.exposure_time if exposure_time is None else exposure_time)
     whole = seconds + sensor.row_time * (scene.shape[0] - 1)
@@ -218,9 +227,6 @@ def expose_motion(
             step += moving.farthest(times) * max(motion.at(time).zoom for time in times)
         return times, probes.between(step, step * (count - 1) * seconds / whole), step
 
-    can_smear = instants is None and moving is None and scene.depth is None and not travels
-    if plan is not None:  # it is for this form of content
-        can_smear = can_smear and isinstance(scene.content, Basis | Cube)
     counts = [count for count in COUNTS if count <= MOST_PICTURES or not can_smear]
     for count in [instants] if instants else counts:
         times, wrong, step = error_of(count)
@@ -229,9 +235,10 @@ def expose_motion(
             break
     ratio, words = scene.samples_per_pixel, ""
     smeared = None
-    if can_smear and step and count > FEW:
+    if must_smear or (can_smear and step and count > FEW):
         path = Path(scene, motion, start, seconds, sensor.row_time, flicker)
-        smeared = _smear(simulator, probes, path, is_enough, count if is_met else None)
+        pictures = count if is_met and not must_smear else None
+        smeared = _smear(simulator, probes, path, is_enough, pictures)
     if smeared is not None:
         mean, wrong, resampled, words = smeared
         exposure = expose_moving(simulator, [mean], [start], seconds, start, gain, flicker, plan)

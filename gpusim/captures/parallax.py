@@ -15,6 +15,7 @@ from gpusim.domain.scene import Layer, Scene, checked_scene
 JUMP = 0.5  # [sample] difference of displacement between neighbours that are different surfaces
 MOST_SHEETS = 6  # surfaces that a depth map is cut into
 STEPS, SETTLED = 60, 1e-4  # of the search for a sample's place, and its precision [sample]
+LOST = 0.01  # [sample] error of a place that counts as not found: its light is a guess
 BORDERS = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect", "scene": "nearest"}
 
 
@@ -34,8 +35,8 @@ class Moved:
     Attributes:
         scene: The scene, with a layer for each surface.
         guessed: Coverage of each sample by light that the scene does not have: surfaces that were
-            hidden, for which their own surroundings are taken, (rows, cols).
-        error: Largest distance of a sample from its place [sample].
+            hidden, for which their own surroundings are taken, and steep ones, (rows, cols).
+        error: Largest distance of a sample that is not guessed from its place [sample].
     """
 
     scene: Scene
@@ -98,8 +99,8 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
         raise BadData(f"place of the camera = {place!r}: wanted three finite numbers [m]")
     if scene.depth is None:
         raise BadData(
-            f"{scene.name}: a camera that moves by {np.abs(move).max():g} m needs the scene's depth; pan "
-            "or turn it, or give the scene distances"
+            f"{scene.name}: a camera that changes its place needs the scene's depth; pan or turn it, or give "
+            "the scene distances"
         )
     nearest = min(
         float(np.min(one)) for one in (scene.depth, *(layer.depth for layer in scene.layers))
@@ -126,11 +127,12 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
     guessed = np.zeros(scene.content.shape)
     for sheet in sheets:
         places, depth, error = _places(sheet.depth, focal, move)
-        worst = max(worst, error)
+        lost = error > LOST
+        worst = max(worst, float(error[~lost].max(initial=0)))
         alpha = np.clip(
             _at(sheet.alpha, places, 1, mode if sheet is not sheets[-1] else "nearest"), 0, 1
         )
-        known = np.clip(_at(sheet.known, places, 1, "nearest"), 0, 1)
+        known = np.where(lost, 0, np.clip(_at(sheet.known, places, 1, "nearest"), 0, 1))
         guessed += through * alpha * (1 - known)
         through = through * (1 - alpha)
         planes = np.stack([_at(one, places, 3, mode) for one in sheet.content.planes])
@@ -223,18 +225,18 @@ def _places(depth, focal, move):
     shape = depth.shape
     middle = (np.array(shape) - 1) / 2
     grid = np.indices(shape, np.float64) - middle[:, None, None]
-    distance, places, error = depth, grid, 0.0
+    distance, places, error = depth, grid, np.zeros(shape)
     is_flat = np.ptp(depth) == 0
     for _ in range(1 if is_flat else STEPS):
         shift = focal * move[:2, None, None] / distance
         found = grid * (1 - move[2] / distance) + shift
-        error = float(np.abs(found - places).max())
+        error = np.abs(found - places).max(axis=0)
         places = found
-        if error < SETTLED:
+        if error.max() < SETTLED:
             break
         if not is_flat:
             distance = _at(depth, places + middle[:, None, None], 1, "nearest")
-    return places + middle[:, None, None], distance - move[2], 0.0 if is_flat else error
+    return places + middle[:, None, None], distance - move[2], error * (not is_flat)
 
 
 def _at(values, places, order, mode):

@@ -39,6 +39,8 @@ class Reads(Capture):
             object.__setattr__(self, "times", tuple(np.atleast_1d(times).tolist()))
         except (TypeError, ValueError):
             raise BadData(f"times of reads = {self.times!r}: wanted a list of numbers") from None
+        if not self.times:
+            raise BadData("times of reads: none, wanted one or more")
 
     @property
     def frames_returned(self) -> int:

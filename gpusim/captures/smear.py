@@ -14,6 +14,7 @@ adds behind a rolling shutter.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.ndimage
@@ -82,14 +83,24 @@ class Path:
             )
         return found
 
-    def light(self, y: float, parts: np.ndarray) -> np.ndarray:
-        """Return the share of the light of a row's exposure between consecutive parts of it, sum 1."""
+    def light(self, y: float, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the share of the light of a row's exposure between consecutive parts of it, and where its middle is.
+
+        The shares have the sum 1. A middle is between 0 and 1, the ends of its piece.
+        """
+        share, middle = np.diff(parts), np.full(len(parts) - 1, 0.5)
         if self.flicker is None:
-            return np.diff(parts)
-        own = self.flicker.since(float(self.opens(y)))
-        light = np.diff(own.integrals(parts * self.seconds)[0])
+            return share, middle
+        times = parts * self.seconds
+        light, moment = map(np.diff, self.flicker.since(float(self.opens(y))).integrals(times))
         total = light.sum()
-        return light / total if total > 0 else np.diff(parts)
+        if not total > 0:
+            return share, middle
+        lit = light > 1e-9 * total
+        middle[lit] = ((moment[lit] / light[lit] - times[:-1][lit]) / np.diff(times)[lit]).clip(
+            0, 1
+        )
+        return light / total, middle
 
     @cached_property
     def checked(self) -> tuple[np.ndarray, np.ndarray]:
@@ -109,9 +120,10 @@ class Path:
         """Middles of the paths, as nodes for `optics.distort`."""
         parts = np.linspace(0, 1, FINEST + 1)
         y, _ = _edges(self.scene.content.shape, NODES)
-        light = np.array([self.light(row, parts) for row in y])  # (rows, pieces)
+        light, middle = np.array([self.light(row, parts) for row in y]).swapaxes(0, 1)
         along = np.array([_nodes(self, part) for part in parts])  # (points, rows, cols, 3)
-        return np.einsum("yk,kyxi->yxi", light, (along[1:] + along[:-1]) / 2)
+        found = np.einsum("yk,kyxi->yxi", light * (1 - middle), along[:-1])
+        return found + np.einsum("yk,kyxi->yxi", light * middle, along[1:])
 
     @cached_property
     def is_common(self) -> bool:
@@ -126,13 +138,13 @@ class Path:
         steps = np.diff(self.points, axis=0)
         return float(np.hypot(steps[:, 0], steps[:, 1]).sum(axis=0).max()) * zoom
 
-    def shape(self, row: int, col: int, pieces: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return points of a checked sample's path relative to its middle, and the light of each piece."""
+    def shape(self, row: int, col: int, pieces: int) -> tuple[np.ndarray, ...]:
+        """Return points of a checked sample's path relative to its middle, and `light` of the pieces."""
         parts = np.linspace(0, 1, pieces + 1)
         points = self.points[:: FINEST // pieces, :, row, col]
-        light = self.light(self.checked[0][row], parts)
-        middle = light @ ((points[1:] + points[:-1]) / 2)
-        return points - middle, light
+        light, middle = self.light(self.checked[0][row], parts)
+        mean = (light * (1 - middle)) @ points[:-1] + (light * middle) @ points[1:]
+        return points - mean, light, middle
 
     @cached_property
     def pieces(self) -> int:
@@ -147,7 +159,7 @@ class Path:
         return count
 
     @property
-    def middle_shape(self) -> tuple[np.ndarray, np.ndarray]:
+    def middle_shape(self) -> tuple[np.ndarray, ...]:
         """The shape of the middle sample's path."""
         return self.shape(CHECKED // 2, CHECKED // 2, self.pieces)
 
@@ -216,24 +228,25 @@ class Path:
         return replace(bound, rms=bound.rms * factor)
 
 
-def transfer(fy, fx, points: np.ndarray, light: np.ndarray) -> np.ndarray:
+def transfer(fy, fx, points: np.ndarray, light: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """Return the transfer function of a mean along a path of straight pieces.
 
     Each piece is a box along a line: the wave exp(2 pi i f x) becomes itself times sinc(f step) and the phase of the
-    piece's middle.
+    middle of the piece's light.
 
     Args:
         fy: Frequencies along rows [cycle/sample], shape (rows, 1).
         fx: Frequencies along columns, shape (cols,).
         points: Ends of the pieces, places looked at relative to the sample, shape (n + 1, 2).
         light: Share of the light of each piece, shape (n,).
+        middle: Where the middle of that light is between the ends of the piece, 0 .. 1.
 
     Returns:
         Complex, shape (rows, cols).
     """
     total = np.zeros(np.broadcast_shapes(fy.shape, fx.shape), np.complex128)
-    for start, end, share in zip(points[:-1], points[1:], light, strict=True):
-        (y, x), (down, right) = (start + end) / 2, end - start
+    for start, end, share, at in zip(points[:-1], points[1:], light, middle, strict=True):
+        (y, x), (down, right) = start + at * (end - start), end - start
         phase = np.exp(2j * np.pi * fy * y) * np.exp(2j * np.pi * fx * x)
         total += share * phase * np.sinc(fy * down + fx * right)
     return total
@@ -251,7 +264,7 @@ def convolve(device: Device, path: Path) -> Scene:
     """
     scene, border = path.scene, _border(path.scene)
     content, light, response = _mixed(device, scene.content)
-    points, shares = path.middle_shape
+    points, *shares = path.middle_shape
     nodes = path.middles
     common = nodes[NODES[0] // 2, NODES[1] // 2, :2]
     own = nodes - np.array([*np.rint(common), 0])
@@ -270,7 +283,7 @@ def convolve(device: Device, path: Path) -> Scene:
     wide = distort(light, device.array(whole[None]), shape, border, device=device)
     rows, cols = (fft_length(n) for n in shape)
     fy, fx = np.fft.fftfreq(rows)[:, None], np.arange(cols // 2 + 1) / cols
-    table = transfer(fy, fx, points, shares)
+    table = transfer(fy, fx, points, *shares)
     for i in (0, rows // 2) if rows % 2 == 0 else (0,):  # frequencies that are their own opposites
         for j in (0, cols // 2) if cols % 2 == 0 else (0,):
             table[i, j] = table[i, j].real
@@ -328,9 +341,9 @@ def accumulate(device: Device, path: Path, count: int) -> Scene:
     return _scene(device, scene, content, total)
 
 
-def _probed(points, light):
+def _probed(*shape):
     """Return a path's transfer function at the frequencies of probes."""
-    return transfer(np.fft.fftfreq(SIDE)[:, None], np.arange(SIDE // 2 + 1) / SIDE, points, light)
+    return transfer(np.fft.fftfreq(SIDE)[:, None], np.arange(SIDE // 2 + 1) / SIDE, *shape)
 
 
 def sum_errors(bounds: list[Bound]) -> Bound:
@@ -343,22 +356,34 @@ def _border(scene):
     return "edge" if scene.border == "scene" else scene.border
 
 
-def _mixed(device, content) -> tuple[Content, object, np.ndarray]:
-    """Return content that interpolates, its planes on the device, and the brightness of each plane.
+def mixing_form(content: Content) -> Content:
+    """Return content without light of the form that interpolates.
 
     Materials become the planes of their spectra, or of the wavelengths if these are fewer.
+
+    Args:
+        content: The content.
+
+    Returns:
+        A Basis or a Cube of zeros.
     """
-    stored, table, spectra = store(device, content), None, content.entry_spectra
-    is_spectral = content.is_spectral
+    spectra = content.entry_spectra
+    many = content.labels is not None and len(spectra) > spectra.shape[1]
+    if content.is_spectral or many:
+        shape = len(content.wavelengths), *content.shape
+        return Cube(content.wavelengths, np.broadcast_to(np.float32(0), shape))
+    samples = np.broadcast_to(np.float32(0), (len(spectra), *content.shape))
+    return Basis(content.wavelengths, samples, spectra)
+
+
+def _mixed(device, content) -> tuple[Content, Any, np.ndarray]:
+    """Return the form of content that interpolates, its planes on the device, and the brightness of each plane."""
+    form, table = mixing_form(content), None
     if content.labels is not None:
-        is_spectral = len(spectra) > spectra.shape[1]
-        table = spectra.T if is_spectral else np.eye(len(spectra))
-    light = planes(device, table, stored)
-    shape = light.shape[0], *content.shape
-    samples = np.broadcast_to(np.float32(0), shape)
-    response = spectra.sum(axis=1) if not is_spectral else np.ones(shape[0])
-    made = Cube(content.wavelengths, samples) if is_spectral else None
-    return made or Basis(content.wavelengths, samples, spectra), light, response
+        spectra = content.entry_spectra
+        table = spectra.T if form.is_spectral else np.eye(len(spectra))
+    light = planes(device, table, store(device, content))
+    return form, light, form.entry_spectra.sum(axis=1)
 
 
 def _scene(device, scene, content, light) -> Scene:

@@ -23,7 +23,8 @@ MOVES = (
 )
 WANTED = (
     "burst=N, bracket=STOP:STOP:... or reads=TIME:TIME:..., merged, and pan=DOWN:RIGHT, roll=DEG_S, "
-    "zooming=FACTOR, shake=PIXELS, travel=DOWN:RIGHT:AHEAD (m/s), seed=N, flicker=HZ:DEPTH, pwm=HZ:DUTY, period=SECONDS, instants=N, each once"
+    "zooming=FACTOR, shake=PIXELS, travel=DOWN:RIGHT:AHEAD (m/s), seed=N, flicker=HZ:DEPTH, pwm=HZ:DUTY, "
+    "period=SECONDS, instants=N, each once"
 )
 
 

@@ -100,7 +100,8 @@ class MovingRequest(Request):
         metavar="PNG,...",
         help="a picture with alpha that moves in front of a photograph; may be repeated, the "
         "nearest first: car.png,at=40:-200 (row and column of its centre, from the scene's "
-        "centre),pan=0:120 (pixel/s),roll=DEG_S,zoom=Z,zooming=FACTOR",
+        "centre),pan=0:120 (pixel/s),roll=DEG_S,zoom=Z,zooming=FACTOR, and "
+        "distance=METRES in a scene with depth",
     )
     transfer: str | None = option(
         metavar="NAME",

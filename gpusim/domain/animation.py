@@ -4,8 +4,8 @@ The scene at any time consists of samples on the grid of the scene.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from math import ceil, cos, floor, sin
+from dataclasses import dataclass, field, replace
+from math import ceil, cos, floor, inf, sin
 
 import numpy as np
 import scipy.ndimage
@@ -13,7 +13,7 @@ import scipy.ndimage
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.motion import Motion
-from gpusim.domain.scene import Scene, checked_scene
+from gpusim.domain.scene import Layer, Scene, checked_scene
 from gpusim.domain.short_repr import short_repr
 
 
@@ -28,16 +28,19 @@ class Actor:
         place: Position of its centre relative to the scene's centre at time 0, rows and columns
             [pixel].
         path: Its movement from there. The rotation of the motion turns it, the zoom enlarges it.
+        distance: Its distance [m], in a scene with depth: it hides what is farther, is hidden by
+            what is nearer, and is blurred for this distance.
 
     Raises:
         BadData: The content cannot be interpolated, or shapes or types do not match.
-        OutOfRange: Alpha is outside 0 .. 1.
+        OutOfRange: Alpha is outside 0 .. 1, or the distance is not above 0.
     """
 
     content: Content
     alpha: np.ndarray
     place: tuple[float, float] = (0.0, 0.0)
     path: Motion = field(default_factory=Motion)
+    distance: float | None = None
 
     __repr__ = short_repr
 
@@ -59,6 +62,10 @@ class Actor:
             raise BadData(f"actor: place = {self.place!r}, wanted two finite numbers")
         if not isinstance(self.path, Motion):
             raise BadData(f"actor: path {type(self.path).__name__}, wanted a Motion")
+        if any(self.path.travel):
+            raise BadData("actor: a path has no travel; give place, pan and zooming")
+        if self.distance is not None and not 0 < self.distance < inf:
+            raise OutOfRange("actor: distance", self.distance, "above 0 m")
         object.__setattr__(self, "alpha", alpha)
 
     def corners(self, time: float, ratio: float) -> np.ndarray:
@@ -92,45 +99,83 @@ class Actor:
             time: Time [s].
             ratio: Scene samples per pixel.
         """
-        corners, shape = self.corners(time, ratio), planes.shape[1:]
+        shape = planes.shape[1:]
+        box = self._box(shape, time, ratio)
+        if box is None:
+            return
+        places = self._places(box, shape, time, ratio)
+
+        def resample(values):
+            return _resample(values, places, "grid-constant")
+
+        behind = 1 - resample(self.alpha)
+        for plane, own in zip(planes, self.content.planes, strict=True):
+            plane[box] = behind * plane[box] + resample(self.alpha * own)
+
+    def layer(self, shape: tuple[int, int], time: float, ratio: float) -> Layer:
+        """Return the object as a layer of a scene with depth.
+
+        Args:
+            shape: Rows and columns of the scene's samples.
+            time: Time [s].
+            ratio: Scene samples per pixel.
+
+        Returns:
+            The layer. Its light goes on outside its own samples, where its coverage is 0.
+        """
+        alpha = np.zeros(shape, np.float32)
+        planes = np.zeros((len(self.content.planes), *shape), np.float32)
+        box = self._box(shape, time, ratio)
+        if box is not None:
+            places = self._places(box, shape, time, ratio)
+            alpha[box] = np.clip(_resample(self.alpha, places, "grid-constant"), 0, 1)
+            for plane, own in zip(planes, self.content.planes, strict=True):
+                plane[box] = _resample(own, places, "nearest")
+        assert self.distance is not None
+        return Layer(self.content.with_planes(planes), alpha, float(self.distance))
+
+    def _box(self, shape, time, ratio):
+        """Return the rows and columns of a scene of `shape` that the object covers, or None."""
+        corners = self.corners(time, ratio)
         middle = [(n - 1) / 2 for n in shape]
         box = [
             slice(max(floor(at.min() + half) - 1, 0), max(min(ceil(at.max() + half) + 2, n), 0))
             for at, half, n in zip(corners, middle, shape, strict=True)
         ]
-        if any(part.start >= part.stop for part in box):
-            return
-        view = self.path.at(time)
+        return None if any(part.start >= part.stop for part in box) else tuple(box)
+
+    def _places(self, box, shape, time, ratio):
+        """Return where the samples of a box of a scene are in the object, rows and columns [index]."""
+        view, middle = self.path.at(time), [(n - 1) / 2 for n in shape]
         y, x = (
             np.arange(part.start, part.stop) - half - ratio * (start + moved)
             for part, half, start, moved in zip(box, middle, self.place, view.shift, strict=True)
         )
         c, s = cos(view.rotation) / view.zoom, sin(view.rotation) / view.zoom
         places = np.stack([c * y[:, None] - s * x, s * y[:, None] + c * x])
-        places += np.array([(n - 1) / 2 for n in self.alpha.shape])[:, None, None]
+        return places + np.array([(n - 1) / 2 for n in self.alpha.shape])[:, None, None]
 
-        def resample(values):
-            found = scipy.ndimage.map_coordinates(values, places, order=3, mode="grid-constant")
-            # splines ring next to steps
-            return np.clip(found, min(values.min(), 0), max(values.max(), 0))
 
-        behind = 1 - resample(self.alpha)
-        for plane, own in zip(planes, self.content.planes, strict=True):
-            plane[tuple(box)] = behind * plane[tuple(box)] + resample(self.alpha * own)
+def _resample(values, places, mode):
+    """Return values interpolated with cubic splines."""
+    found = scipy.ndimage.map_coordinates(values, places, order=3, mode=mode)
+    # splines ring next to steps
+    return np.clip(found, min(values.min(), 0), max(values.max(), 0))
 
 
 @dataclass(frozen=True, eq=False)
 class Animation:
     """A scene in which objects move.
 
-    The scene has no depth and no layers. The error account takes the samples at a time as true.
+    In a scene with depth each object has a distance and becomes a layer. The error account takes
+    the samples at a time as true.
 
     Args:
         scene: The background.
         actors: The objects, nearest first.
 
     Raises:
-        BadData: The scene has depth or layers, or an actor does not match its content.
+        BadData: An actor does not match the scene's content, or only one of them has distances.
     """
 
     scene: Scene
@@ -141,11 +186,14 @@ class Animation:
     def __post_init__(self):
         scene = checked_scene(self.scene)
         object.__setattr__(self, "actors", tuple(self.actors))
-        if scene.depth is not None or scene.layers:
-            raise BadData(f"{scene.name}: an animation needs a scene without depth and layers")
         for number, actor in enumerate(self.actors):
             if not isinstance(actor, Actor):
                 raise BadData(f"actor {number}: {type(actor).__name__}, wanted an Actor")
+            if (actor.distance is None) != (scene.depth is None):
+                has = "depth, wanted actors with a distance"
+                if scene.depth is None:
+                    has = "no depth, wanted actors without a distance"
+                raise BadData(f"{scene.name}: actor {number}: the scene has {has}")
             if not actor.content.is_like(scene.content.surfaces):
                 raise BadData(
                     f"{scene.name}: actor {number} is a {actor.content.form}, the scene a "
@@ -159,13 +207,33 @@ class Animation:
             time: Time [s].
 
         Returns:
-            A scene with the actors drawn into its samples.
+            A scene with the actors drawn into its samples or, with depth, as layers.
         """
+        if self.scene.depth is not None:
+            return self._layered(time)
         content, ratio = self.scene.content.surfaces, self.scene.samples_per_pixel
         planes = np.array(content.planes, np.promote_types(content.planes.dtype, np.float32))
         for actor in self.actors[::-1]:
             actor.onto(planes, time, ratio)
         return self.scene.stored(**{content.samples[-1]: planes})
+
+    def _layered(self, time):
+        """Return the scene with the actors as layers, at their places in the order of distances."""
+        scene, ratio = self.scene, self.scene.samples_per_pixel
+        behind = np.asarray(scene.depth)
+        others = [(float(np.mean(layer.depth)), layer) for layer in scene.layers]
+        layers = list(others)
+        for actor in self.actors[::-1]:
+            layer, distance = actor.layer(scene.content.shape, time, ratio), float(actor.distance)
+            alpha = layer.alpha * (behind > distance)
+            for mean, other in others:  # parts of a farther layer that are nearer than the actor
+                if mean >= distance:
+                    alpha = alpha * (1 - other.alpha * (np.asarray(other.depth) < distance))
+            if not alpha.any():
+                continue
+            place = next((k for k, (mean, _) in enumerate(layers) if mean >= distance), len(layers))
+            layers.insert(place, (distance, replace(layer, alpha=alpha.astype(np.float32))))
+        return replace(scene, layers=tuple(layer for _, layer in layers))
 
     def farthest(self, times: Sequence[float]) -> float:
         """Return the longest distance that a corner of an actor moves between consecutive times.

@@ -242,10 +242,6 @@ class Sensor:
                 "sensor.gain, conversion_gain and adc_range: wanted only gain, or the other two, or none"
             )
         check_known("sensor.binning_mode", self.binning_mode, ("charge", "digital"))
-        if self.binning != (1, 1) and self.stacked:
-            raise BadData(
-                "sensor.binning with stacked pixels: wanted binning = (1, 1), or stacked = False"
-            )
         if self.binning != (1, 1) and self.binning_mode == "digital" and self.bits == FLOAT_BITS:
             raise BadData(
                 'sensor.binning_mode = "digital" without a converter: wanted "charge", or bits 1 .. 16'

@@ -13,7 +13,7 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.optics.labels import carry_labels
 from gpusim.pipeline.cache import Cache, same
-from gpusim.pipeline.loop import Capture, Loop, SharedOptics, checked_output
+from gpusim.pipeline.loop import Capture, Loop, SharedOptics, checked_capture, checked_output
 from gpusim.pipeline.planning import plan_inputs
 from gpusim.planner.plan import Plan
 
@@ -56,7 +56,7 @@ class Batch:
         plan: Plan | None = None,
         capture: Capture | None = None,
     ):
-        self.output, self._capture = checked_output(output), capture
+        self.output, self._capture = checked_output(output), checked_capture(capture)
         self.count = checked_count("count of a batch", count, 1, MOST)
         self._simulator, self._cache = simulator, Cache(simulator.device)
         self._items: list[Loop | None] = [None] * self.count

@@ -5,7 +5,7 @@ import time
 from itertools import chain
 from math import prod
 from operator import is_
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from gpusim.backends import Device
 from gpusim.color.rendering import Rendering
@@ -74,6 +74,7 @@ def checked_output(name: str) -> str:
     return name
 
 
+@runtime_checkable
 class Capture(Protocol):
     """The frames that a camera takes of a scene, see `gpusim.captures.capture.Capture`."""
 
@@ -83,6 +84,13 @@ class Capture(Protocol):
 
     def output(self, loop: "Loop", name: str, *, seed: int, first: int) -> tuple[Any, Plan]:
         """Return one of OUTPUTS of a capture of the loop's scene, and the plan that made it."""
+
+
+def checked_capture(capture: Any) -> Capture | None:
+    """Return a capture or None. Raises BadData."""
+    if capture is not None and not isinstance(capture, Capture):
+        raise BadData(f"capture: {type(capture).__name__}, wanted a Capture, e.g. gpusim.Burst(8)")
+    return capture
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -158,7 +166,7 @@ class Loop:
         plan: Plan | None = None,
         capture: Capture | None = None,
     ):
-        self.capture, self._plan_of_capture = capture, plan
+        self.capture, self._plan_of_capture = checked_capture(capture), plan
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.before = SharedOptics(simulator.device) if before is None else before

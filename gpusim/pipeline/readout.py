@@ -56,7 +56,10 @@ class Readout:
             sensor,
             open_device(device) if isinstance(device, str) else device,
         )
-        self.stride, mosaic = bin_mosaic(sensor.cfa_indices, sensor.binning)
+        # layers of stacked pixels have one colour each
+        self.stride, mosaic = (1, 1), sensor.cfa_indices
+        if not sensor.stacked:
+            self.stride, mosaic = bin_mosaic(sensor.cfa_indices, sensor.binning)
         charge = sensor.binning_mode == "charge"
         self.pixels = prod(sensor.binning) if charge else 1
         self.output = dataclasses.replace(
@@ -246,6 +249,13 @@ class Readout:
         """
         sensor = self.output
         if self.sensor.binning != (1, 1):
+            if sensor.stacked and shape[0] % self.sensor.binning[0]:
+                raise OutOfRange(
+                    "frame size",
+                    f"{shape[1]}x{shape[0]}",
+                    f"rows in multiples of {self.sensor.binning[0]}: the layers of stacked pixels are binned in "
+                    "whole blocks",
+                )
             shape = binned_shape(shape, self.sensor.binning, self.stride)
         if not (sensor.is_monochrome or sensor.stacked or sensor.bayer_phase):
             least = least_frame(sensor.cfa_indices)

@@ -10,7 +10,7 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData, checked_count
 from gpusim.domain.memory import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.pipeline.loop import checked_output
+from gpusim.pipeline.loop import checked_capture, checked_output
 from gpusim.planner.plan import Plan
 
 if TYPE_CHECKING:
@@ -57,6 +57,7 @@ class Stream(Iterator):
             raise BadData(
                 f"scenes of a stream: {type(scenes).__name__}, wanted several, e.g. [scene]"
             )
+        checked_capture(settings.get("capture"))
         self.plan, self._settings = plan, settings | {"plan": plan}
         self._frames = self._generate(simulator, scenes, output, seed, first)
 

@@ -132,10 +132,61 @@ def test_actors_that_cannot_be(changes, error, words):
         gs.Actor(**({"content": content, "alpha": alpha} | changes))
 
 
+DEEP = replace(BACK, depth=np.full((60, 80), 3.0))
+
+
+def test_an_actor_at_a_distance_is_a_layer_in_their_order():
+    """Two squares at whole samples: the layers written down by hand, of near and far ones."""
+    content, alpha = basis(RANDOM.random((3, 12, 12))), np.ones((12, 12), np.float32)
+    near = gs.Actor(content, alpha, (0, 0), gs.Motion(pan=(0, 10)), distance=1.0)
+    far = gs.Actor(content, alpha, (0, 8), distance=2.0)
+    for actors in ([near, far], [far, near]):  # distances decide, not the list
+        scene = gs.Animation(DEEP, actors).at(0.2)  # the near one at column 2
+        assert [layer.depth for layer in scene.layers] == [1.0, 2.0]
+        for layer, column in zip(scene.layers, (2, 8), strict=True):
+            expected = np.zeros((60, 80))
+            expected[24:36, 34 + column : 46 + column] = 1
+            np.testing.assert_allclose(layer.alpha, expected, atol=1e-6)
+            shown = layer.content.coefficients[:, 24:36, 34 + column : 46 + column]
+            np.testing.assert_allclose(shown, content.coefficients, atol=2e-6)
+
+
+def test_an_actor_is_hidden_by_what_is_nearer():
+    depth = np.where(np.arange(80) < 40, 0.5, 3.0) * np.ones((60, 1))
+    actor = gs.Actor(basis(np.ones((3, 12, 12))), np.ones((12, 12)), distance=1.0)
+    (layer,) = gs.Animation(replace(BACK, depth=depth), [actor]).at(0).layers
+    assert not layer.alpha[:, :40].any() and layer.alpha[24:36, 40:46] == pytest.approx(1)
+    gone = replace(BACK, depth=np.full((60, 80), 0.5))
+    assert gs.Animation(gone, [actor]).at(0).layers == ()
+
+
+def test_an_actor_is_blurred_for_its_distance():
+    """Its edge is as soft as a lens with the same defocus makes it without any depth, far from other edges."""
+    optics = replace(PHONE.optics, object_distance=0.5)
+    camera = replace(PHONE, optics=optics)
+    dark = replace(DEEP, content=basis(np.full((3, 60, 80), 0.1)))
+    actor = gs.Actor(basis(np.full((3, 30, 30), 0.9)), np.ones((30, 30)), distance=0.2)
+    simulator = gs.Simulator(camera, device="opencl:0")
+    found = np.asarray(simulator.expose(gs.Animation(dark, [actor]).at(0), 0.01).mean, np.float64)
+    flat = gs.Animation(replace(dark, depth=None), [replace(actor, distance=None)]).at(0)
+    at_actor = replace(flat, depth=np.full((60, 80), 0.2))
+    expected = np.asarray(simulator.expose(at_actor, 0.01).mean, np.float64)
+    sharp = np.asarray(simulator.expose(replace(flat, depth=np.full((60, 80), 0.5)), 0.01).mean)
+    # even light behind has no blur of its own: the two agree, up to the lobes of the tables
+    rms = np.sqrt(np.mean((found - expected) ** 2) / np.mean(expected**2))
+    assert rms < 2e-3 < 0.02 < np.sqrt(np.mean((sharp - expected) ** 2) / np.mean(expected**2))
+
+
 def test_animations_that_cannot_be():
     actor = gs.Actor(*spot())
-    with pytest.raises(BadData, match="without depth"):
+    with pytest.raises(BadData, match="wanted actors with a distance"):
         gs.Animation(replace(BACK, depth=np.ones((60, 80))), [actor])
+    with pytest.raises(BadData, match="wanted actors without a distance"):
+        gs.Animation(BACK, [replace(actor, distance=2.0)])
+    with pytest.raises(OutOfRange, match="above 0 m"):
+        gs.Actor(*spot(), distance=-1.0)
+    with pytest.raises(BadData, match="has no travel"):
+        gs.Actor(*spot(), path=gs.Motion(travel=(0, 1, 0)))
     with pytest.raises(BadData, match="the same wavelengths and basis"):
         gs.Animation(gs.chart("flat"), [actor])
     with pytest.raises(BadData, match="actor 0: Scene, wanted an Actor"):

@@ -64,6 +64,7 @@ MOVING = {
     "zoom": (PHOTO, "--zoom 1.3"),
     "zooming": (f"{PHOTO} --frames 2", "--zooming 4"),
     "shake": (f"{PHOTO} --frames 2", "--shake 3"),
+    "travel": (f"{SPACE} --frames 2", "--travel 0,5,0"),
     "actor": (PHOTO, "--actor actor.png"),
     "transfer": (f"film.mkv {ON}", "--transfer srgb"),
     "any_order": (f"in_2.png in_1.png {ON}", "--any-order"),
@@ -80,6 +81,7 @@ ROWS = {
     | {
         "seed": (f"{CHART} -o out.npz", "--seed 5"),
         "frames": (f"{CHART} -o out.npz", "--frames 2"),
+        "capture": (f"{CHART} -o out.npz", "--capture burst=2"),
         "out": (CHART, "-o out.npz"),
         "bits": (f"{CHART} -o out.png", "--bits 16"),
         "report": (CHART, "--report report.json"),
@@ -98,6 +100,7 @@ ROWS = {
         "out": (f"{CHART} -o out.npz", "-o out.png"),
         "lerobot": (f"{CHART} -o folder.png", "--lerobot look"),
         "seed": (f"{CHART} -o out.npz", "--seed 5"),
+        "capture": (f"{CHART} -o out.npz", "--capture bracket=-1:0"),
         "blur": (f"{PHOTO} --frames 2 --pan 0,400 -o out.npz", "--blur"),
         "ramp": (f"{PHOTO} --frames 2 -o out.npz", "--ramp exposure=1/500..1/30"),
         "lag": (f"{SEVERAL} --fps 5 -o out.npz", "--lag exposure=1"),
@@ -114,6 +117,7 @@ ROWS = {
         "out": (f"{CHART} -o out", "-o other"),
         "vary": (f"{CHART} -o out", "--vary exposure=1/200..1/20"),
         "each": (f"{CHART} -o out", "--each 2"),
+        "capture": (f"{CHART} -o out", "--capture burst=2"),
         "seed": (f"{CHART} -o out", "--seed 5"),
         "pictures": (f"{CHART} -o out", "--pictures"),
         "in_shard": (f"{CHART} --each 3 -o out", "--in-shard 2"),
@@ -123,6 +127,7 @@ ROWS = {
     | MOVING
     | {
         "frames": (f"{PHOTO} --frames 2 --pan 0,20", "--frames 3"),
+        "capture": (CHART, "--capture bracket=-1:0"),
         "port": (CHART, "--port 8089"),
         "host": (CHART, "--host 0.0.0.0"),
     },

@@ -13,6 +13,7 @@ from gpusim.apps.video.scenes import Moving, Still
 from gpusim.apps.video.video import captured_frames
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.scene import Scene
+from gpusim.pipeline.planning import probes_for
 
 SECONDS, ROW_TIME, START = 0.01, 4e-5, 0.3
 PATHS = (
@@ -45,22 +46,35 @@ def brute(simulator, scene, motion, row_time, instants):
 @pytest.mark.parametrize("motion", PATHS, ids=["pan", "turn", "shake"])
 @pytest.mark.parametrize("row_time", [0.0, ROW_TIME])
 def test_a_frame_errs_no_more_than_it_says(motion, row_time):
-    """Against 64 times as many instants, at three tolerances and without one."""
+    """Against 320 instants, at two tolerances and without one."""
     scene = gs.chart("deadleaves", size=(100, 80))
+    truth = brute(
+        gs.Simulator(camera(row_time), device="opencl:0", tolerance=0.02),
+        scene,
+        motion,
+        row_time,
+        320,
+    )
     for tolerance in (None, 0.1, 0.02):
         simulator = gs.Simulator(camera(row_time), device="opencl:0", tolerance=tolerance)
         exposure = gs.expose_motion(simulator, scene, motion, SECONDS, START)
-        count = int(exposure.plan.models["sensor.shutter"].split()[0])
-        if tolerance == 0.1:
-            truth = brute(simulator, scene, motion, row_time, min(64 * count, 700))
+        error = np.array(simulator.device.numpy(exposure.mean)) - truth
+        bounds = exposure.plan.account.bounds
+        # every view of the truth is interpolated: a smear, which is not, differs by the error of views
+        between = gs.View(shift=(0.3, 0.3))
+        views = probes_for(simulator, scene, between, SECONDS).resampling_error(between, 1.0)
+        stated = bounds["shutter"].rms + (views.rms if "path" in words(exposure) else 0)
+        # the truth's own: rows open half of an instant, of 320 in 10 to 13 ms, too early or late: 0.4 %, and a
+        # plan errs by a third of its tolerance
+        rms = np.sqrt(np.mean(error**2) / np.mean(truth**2))
+        assert rms < stated + 2e-3 + (tolerance or 0) / 3
         if tolerance is not None:
-            error = np.array(simulator.device.numpy(exposure.mean)) - truth
-            stated = exposure.plan.account.bounds["shutter"].rms
-            # the truth's own: rows open half of an instant, of 320 or more in 10 to 13 ms, too early or late: 0.2 %
-            assert np.sqrt(np.mean(error**2) / np.mean(truth**2)) < stated + 2e-3
-            assert 1.5 * stated <= 0.5 * tolerance
-        else:
-            assert count > 2
+            assert 1.5 * bounds["shutter"].rms <= 0.5 * tolerance
+
+
+def words(exposure):
+    """How the exposure in motion was made."""
+    return exposure.plan.models["sensor.shutter"]
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -111,13 +125,15 @@ def test_a_resting_camera_is_one_picture_and_odd_numbers_are_refused():
     assert still.plan.models["sensor.shutter"].startswith("1 pictures")
     with pytest.raises(OutOfRange, match="instants"):
         gs.expose_motion(simulator, scene, PATHS[0], SECONDS, instants=1)
-    with pytest.raises(OutOfRange, match="motion during"):
-        gs.expose_motion(
-            gs.Simulator(camera(), device="numpy", tolerance=1e-4),
-            gs.chart("deadleaves", size=(60, 40)),
-            gs.Motion(pan=(0, 3e4)),
-            SECONDS,
-        )
+
+
+def test_no_path_is_too_long():
+    """300 pixels in 10 ms, which no number of pictures shows to 1e-4."""
+    simulator = gs.Simulator(camera(), device="opencl:0", tolerance=1e-4)
+    scene, motion = gs.chart("deadleaves", size=(60, 40)), gs.Motion(pan=(0, 3e4))
+    exposure = gs.expose_motion(simulator, scene, motion, SECONDS)
+    assert words(exposure).startswith("a path of 300 samples")
+    assert exposure.plan.account.bounds["shutter"].rms > 0  # and it says by how much rows err
 
 
 def test_captured_frames_are_those_of_their_times():

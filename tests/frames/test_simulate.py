@@ -526,7 +526,10 @@ BAD = [
         ["flat", "--camera", "exposure-5.toml"],
         "sensor.exposure_time = -0.005 s: allowed is 0 < exposure_time",
     ),
-    (["flat", "--camera", "binned.toml"], "sensor.binning with stacked pixels: wanted"),
+    (
+        ["flat", "--size", "64x49", "--camera", "binned.toml"],
+        "frame size = 64x49: allowed is rows in multiples of 2",
+    ),
     (
         ["flat", "--camera", "counting.toml"],
         "unknown noise.photon 'counting'; known: exact, fast, none",

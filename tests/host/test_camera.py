@@ -322,7 +322,6 @@ def test_noise_names():
             UnknownName,
             r"sensor\.binning_mode 'analog'.*charge, digital",
         ),
-        ({"binning": (2, 2), "stacked": True}, BadData, r"sensor\.binning with stacked pixels"),
         (
             {"binning": (2, 2), "binning_mode": "digital", "bits": 32},
             BadData,
@@ -981,11 +980,6 @@ def test_efficiency_from_csv(tmp_path):
             "bits = 10",
             "bits = 10\nbinning = 2",
             r"\[sensor\] binning = 2: wanted a list of 2 whole numbers",
-        ),
-        (
-            "bits = 10",
-            "bits = 10\nbinning = [2, 2]\nstacked = true",
-            r"sensor\.binning with stacked pixels",
         ),
         (
             "bits = 10",

@@ -15,6 +15,7 @@ from torch.utils.data import Dataset, IterableDataset, get_worker_info
 from gpusim.apps.pairs.pairs import Pairs
 from gpusim.apps.pairs.variety import Variety, scene_options
 from gpusim.apps.tensors.batches import PictureBatch
+from gpusim.captures.capture import Capture
 from gpusim.domain.errors import BadData
 from gpusim.io.scene.scenes import open_scene
 from gpusim.pipeline.simulator import Simulator
@@ -59,6 +60,7 @@ class PairSet(Dataset):
         tolerance: Tolerance, see `Simulator`.
         pictures: Whether items have "rgb".
         plan: Plan of all pairs, see `Simulator`.
+        capture: Capture of each pair, see `gpusim.captures`.
         options: Options of `open_scene`.
 
     Raises:
@@ -78,6 +80,7 @@ class PairSet(Dataset):
         tolerance="video",
         pictures: bool = False,
         plan: Plan | None = None,
+        capture: Capture | None = None,
         **options,
     ):
         self._photographs = [Path(path) for path in photographs]
@@ -88,7 +91,7 @@ class PairSet(Dataset):
             variety = Variety.parse(vary) if vary else Variety()
         except ArgumentTypeError as error:  # as of a command line
             raise BadData(f"vary: {error}") from None
-        self._settings = variety, each, seed, pictures, plan
+        self._settings = variety, each, seed, pictures, plan, capture
         self._options, self._pairs, self._process = options, None, 0
         # raises errors early, without opening a driver
         Simulator(camera, device="numpy", tolerance=tolerance)
@@ -104,7 +107,7 @@ class PairSet(Dataset):
             name: torch.from_numpy(np.array(part)) if isinstance(part, np.ndarray) else part
             for name, part in pair.items()
         }
-        return made | ({"rgb": made["rgb"].movedim(-1, 0)} if "rgb" in made else {})
+        return made | ({"rgb": made["rgb"].movedim(-1, -3)} if "rgb" in made else {})
 
     def __getstate__(self):
         return self.__dict__ | {"_pairs": None}

@@ -10,7 +10,7 @@ from gpusim.apps.video.named import read_named
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.animation import Actor
 
-KEYS = {"at": 2, "pan": 2, "roll": 1, "zoom": 1, "zooming": 1}  # name -> numbers
+KEYS = {"at": 2, "pan": 2, "roll": 1, "zoom": 1, "zooming": 1, "distance": 1}  # name -> numbers
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Cast:
             return numbers
 
         path, _, rest = text.partition(",")
-        wanted = "at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z or zooming=FACTOR, each once"
+        wanted = "at=ROW:COL, pan=DOWN:RIGHT, roll=DEG_S, zoom=Z, zooming=FACTOR or distance=METRES, each once"
         return cls(Path(path), tuple(read_named(rest, read, wanted).items()) if rest else ())
 
     def actor(self) -> "Actor":
@@ -50,4 +50,5 @@ class Cast:
             own.get("zooming", (1.0,))[0],
         )
         row, col = own.get("at", (0.0, 0.0))
-        return Actor(content, alpha, (row, col), path)
+        (distance,) = own.get("distance", (None,))
+        return Actor(content, alpha, (row, col), path, distance)
