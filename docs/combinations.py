@@ -24,7 +24,9 @@ def block(cells: list[Cell]) -> str:
     """Return the matrix and the reasons in Markdown, between its marks."""
     marks = {frozenset((cell.first, cell.second)): MARKS[cell.state] for cell in cells}
     counts = Counter(cell.state for cell in cells if cell.first != cell.second)
-    legend = ", ".join(f"{MARKS[one]} {MEANINGS[one]} ({counts[one]})" for one in MARKS if counts[one])
+    legend = ", ".join(
+        f"{MARKS[one]} {MEANINGS[one]} ({counts[one]})" for one in MARKS if counts[one]
+    )
     numbers = [str(number) for number in range(1, len(NAMES) + 1)]
     lines = ["| | | " + " | ".join(numbers) + " |", "|" + " --- |" * (len(NAMES) + 2)]
     for number, name in zip(numbers, NAMES, strict=True):

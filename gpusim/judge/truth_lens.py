@@ -15,6 +15,7 @@ import scipy
 from gpusim.domain.errors import DoesNotFit, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.judge.truth_light import axis_of
+from gpusim.judge.truth_pupil import PupilKernels
 from gpusim.optics import tables
 from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
 from gpusim.optics.psf import spread_at
@@ -145,6 +146,19 @@ class Field(ABC):
 
 class _PupilField(Field):
     """Kernels of a pupil: splines in the place and the wavelength."""
+
+    _known: PupilKernels | None = None
+
+    def kernel(self, wavelength, y, x) -> np.ndarray:
+        """See `Field`."""
+        lens, known = self.lens, self._known
+        if known is None or known.wavelength != wavelength:
+            pixels = lens.pitch, lens.aperture, lens.displacement
+            known = PupilKernels(lens.optics, wavelength, *pixels, self.corner, self.half)
+            self._known = known
+        return known.at_place(
+            (y - self.middle[0]) / self.corner, (x - self.middle[1]) / self.corner
+        )
 
     def wavelengths(self, known):
         """See `Field`."""
