@@ -21,6 +21,7 @@ from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
 from gpusim.optics.psf import spread_at
 
 DEGREE = 5  # of the splines
+AT_ONCE = 32  # kernels that are made together
 LEAST_PLACES, LEAST_WAVELENGTHS = 13, 5  # along an axis, and of a scene, to begin with
 ERROR = 1e-4  # of the largest energy of a pixel about a point: what splines may err half-way between places
 ANGLES = (1, 9, 17, 33, 65, 129)  # of spreads that turn
@@ -151,14 +152,17 @@ class _PupilField(Field):
 
     def kernel(self, wavelength, y, x) -> np.ndarray:
         """See `Field`."""
+        return self._kernels(wavelength, [(y, x)])[0]
+
+    def _kernels(self, wavelength, places):
+        """Return the kernels at places (y, x) of the frame, (P, size, size)."""
         lens, known = self.lens, self._known
         if known is None or known.wavelength != wavelength:
             pixels = lens.pitch, lens.aperture, lens.displacement
             known = PupilKernels(lens.optics, wavelength, *pixels, self.corner, self.half)
             self._known = known
-        return known.at_place(
-            (y - self.middle[0]) / self.corner, (x - self.middle[1]) / self.corner
-        )
+        middle = np.array(self.middle)
+        return known.at_places([(np.array(at) - middle) / self.corner for at in places])
 
     def wavelengths(self, known):
         """See `Field`."""
@@ -189,23 +193,37 @@ class _PupilField(Field):
     def differences(self, wavelength):
         """See `Field`."""
         axis, known = self.kernel(wavelength, *self.middle), {}
+        is_mirrored = self.lens.symmetry.is_mirrored
+
+        def fold(y, x):
+            """Return a place where the kernel is made: of a lens that has a mirror, in one quadrant."""
+            row, col = self.middle
+            if is_mirrored:
+                y, x = row + abs(y - row), col + abs(x - col)
+            return round(y, 6), round(x, 6)
+
+        def make(places):
+            """Make the kernels of new places, AT_ONCE at a time."""
+            new = sorted({fold(*at) for at in places} - known.keys())
+            for first in range(0, len(new), AT_ONCE):
+                part = new[first : first + AT_ONCE]
+                for at, kernel in zip(part, self._kernels(wavelength, part), strict=True):
+                    own = kernel - axis
+                    known[at] = (own - own.mean()).astype(np.float32)
 
         def difference(y, x):
-            """At a place; of a lens that has a mirror, from the quadrant where both are on the positive side."""
-            side, (row, col) = [1, 1], self.middle
-            if self.lens.symmetry.is_mirrored:
-                side = [1 if y >= row else -1, 1 if x >= col else -1]
-                y, x = row + abs(y - row), col + abs(x - col)
-            at = round(y, 6), round(x, 6)
-            if at not in known:
-                own = self.kernel(wavelength, y, x) - axis
-                known[at] = (own - own.mean()).astype(np.float32)
-            return known[at][:: side[0], :: side[1]]
+            make([(y, x)])
+            side = [
+                -1 if is_mirrored and at < middle else 1
+                for at, middle in zip((y, x), self.middle, strict=True)
+            ]
+            return known[fold(y, x)][:: side[0], :: side[1]]
 
         count = [min(ceil(high - low) + 1, LEAST_PLACES) for low, high in self.limits]
         while True:
             axes = [np.linspace(*limit, n) for limit, n in zip(self.limits, count, strict=True)]
             table = np.empty((*count, *axis.shape), np.float32)
+            make([(y, x) for y in axes[0] for x in axes[1]])
             for i, j in np.ndindex(*count):
                 table[i, j] = difference(axes[0][i], axes[1][j])
             splines = Splines(table, axes)

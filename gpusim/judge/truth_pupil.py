@@ -50,27 +50,31 @@ class PupilKernels:
             own[:] = np.exp(1j * np.outer(one, self.at))
         self.box = self._box(aperture)
 
-    def at_place(self, y: float, x: float) -> np.ndarray:
-        """Return the energy of the pixels around a point, (2 half + 1, 2 half + 1).
+    def at_places(self, places) -> np.ndarray:
+        """Return the energy of the pixels around points, (P, 2 half + 1, 2 half + 1).
 
         Args:
-            y: Row of the field point, 1 the frame's corner.
-            x: Column of the field point.
+            places: Field points (y, x), 1 the frame's corner.
         """
-        waves = self._waves(np.hypot(y, x), np.arctan2(y, x))
-        down, across = (
-            self._colour() * self.corner * at - move
-            for at, move in zip((y, x), self.displacement, strict=True)
-        )
         v = np.broadcast_to(self.v[:, None], self.u.shape)
-        phase = np.polynomial.polynomial.polyval2d(self.u, v, waves)
-        phase = phase - (down * v + across * self.u) / (2 * self.q)
-        pupil = (self.along * np.exp(2j * np.pi * phase)).astype(np.complex64)
-        lines = np.matmul(pupil[:, None], self.across)[:, 0]
-        light = np.abs(self.down @ lines) ** 2 / (self.area * 4 * self.q**2)
-        spectrum = scipy.fft.fft2(scipy.fft.ifftshift(light)) * self.box
+        pupil = np.empty((len(self.v), len(places), self.u.shape[1]), np.complex64)
+        for number, (y, x) in enumerate(places):
+            waves = self._waves(np.hypot(y, x), np.arctan2(y, x))
+            down, across = (
+                self._colour() * self.corner * at - move
+                for at, move in zip((y, x), self.displacement, strict=True)
+            )
+            phase = np.polynomial.polynomial.polyval2d(self.u, v, waves)
+            phase = phase - (down * v + across * self.u) / (2 * self.q)
+            pupil[:, number] = self.along * np.exp(2j * np.pi * phase)
+        lines = np.matmul(pupil, self.across)  # (K, P, n)
         whole = self.fine * np.arange(-self.half, self.half + 1)
-        return scipy.fft.ifft2(spectrum).real[np.ix_(whole, whole)]
+        found = []
+        for number in range(len(places)):
+            light = np.abs(self.down @ lines[:, number]) ** 2 / (self.area * 4 * self.q**2)
+            spectrum = scipy.fft.fft2(scipy.fft.ifftshift(light)) * self.box
+            found.append(scipy.fft.ifft2(spectrum).real[np.ix_(whole, whole)])
+        return np.stack(found)
 
     def _waves(self, height, azimuth=0.0):
         return self.optics.waves(np.array([self.wavelength]), float(height), float(azimuth))[0]

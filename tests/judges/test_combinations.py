@@ -139,7 +139,7 @@ def block():
 
 
 def test_the_page_has_every_feature_and_reason():
-    page, rows, lines = block()
+    _, rows, lines = block()
     assert [row[0] for row in rows] == NAMES
     marks = set(matrix.MARKS.values()) | {" ", ""}
     assert all(len(row) == 30 and set(map(str.strip, row[2:])) <= marks for row in rows)
