@@ -14,7 +14,7 @@ import scipy
 
 from gpusim.domain.errors import DoesNotFit, OutOfRange
 from gpusim.domain.optics import Optics
-from gpusim.judge.truth_light import axis_of
+from gpusim.judge.truth_light import axis_of, pixel_places
 from gpusim.judge.truth_pupil import PupilKernels
 from gpusim.optics import tables
 from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
@@ -41,9 +41,9 @@ def require_truth(camera, scene):
     optics = camera.optics
     has_psf = optics.psf is not None
     samples = f"{scene.samples_per_pixel:g} samples per pixel"
-    if scene.samples_per_pixel != 1 and optics.varies:
+    if not float(scene.samples_per_pixel).is_integer() and optics.varies:
         what = f"{samples} with a blur that varies over the field"
-        raise OutOfRange("verify", what, "1 sample per pixel")
+        raise OutOfRange("verify", what, "a whole number of samples per pixel")
     if scene.samples_per_pixel != 1 and has_psf and optics.psf.integrated:
         allowed = "1 sample per pixel, or samples of the irradiance"
         raise OutOfRange("verify", f"{samples} with measured energies of pixels", allowed)
@@ -117,14 +117,14 @@ def _passed(rate):
 
 
 class Field(ABC):
-    """Kernels of a lens at places of the frame, from the centre of the first pixel [pixel].
+    """Kernels of a lens at samples of the scene, counted from the first one without the margin.
 
     Attributes:
         lens: The lens, see `gpusim.optics.lens`.
-        middle: Place of the optical axis [pixel].
-        corner: Distance that is a field height of 1 [pixel].
+        middle: Place of the optical axis [sample].
+        corner: Distance that is a field height of 1 [sample].
         limits: First and last place along each axis.
-        half: Half size of the differences [pixel].
+        half: Half size of the differences [sample].
     """
 
     def __init__(self, lens, middle, corner, limits, half):
@@ -284,13 +284,23 @@ class _MeasuredField(Field):
 
 
 def field_of(camera, scene) -> Field:
-    """Return the kernels of a camera's lens in front of a scene's frame."""
-    optics, sensor = camera.optics, camera.sensor
-    pitch, corner = sensor.pixel_pitch, float(np.hypot(*scene.shape)) / 2
+    """Return the kernels of a camera's lens in front of a scene's frame, at the scene's samples."""
+    optics, sensor, ratio = camera.optics, camera.sensor, float(scene.samples_per_pixel)
+    pitch, corner = sensor.pixel_pitch / ratio, float(np.hypot(*scene.shape)) / 2 * ratio
     aperture = tuple(side / pitch for side in sensor.aperture)
-    axis = axis_of(camera, scene.shape)
-    limits = [(-scene.margin, n - 1 + scene.margin) for n in scene.shape]
-    middle = [(n - 1) / 2 + at for n, at in zip(scene.shape, axis, strict=True)]
+    first, phase = first_places(camera, scene)
+    limits = [(-scene.margin, n - 1 + scene.margin) for n in scene.samples]
+    middle = [
+        at + more + ratio * ((n - 1) / 2 - move + off)
+        for at, more, n, move, off in zip(
+            first,
+            phase,
+            scene.shape,
+            sensor.displacement,
+            axis_of(camera, scene.shape),
+            strict=True,
+        )
+    ]
     farthest = np.hypot(
         *(max(at - low, high - at) for at, (low, high) in zip(middle, limits, strict=True))
     )
@@ -299,12 +309,20 @@ def field_of(camera, scene) -> Field:
     rays = open_lens(optics, pitch).spread(scene.wavelengths, float(farthest / corner))
     half = ceil(max(LEAST_REACH, RINGS * q, RADII * rays) + lateral)
     if optics.psf is None:
-        lens = PupilLens(optics, pitch, aperture, corner, sensor.displacement)
+        lens = PupilLens(optics, pitch, aperture, corner, phase)
         return _PupilField(lens, middle, corner, limits, half)
     endless = (np.inf, np.inf)
-    given = MeasuredLens(optics, optics.psf, pitch, aperture, endless, sensor.displacement)
-    limits = [(-0.5, n - 0.5) for n in scene.shape]
+    given = MeasuredLens(optics, optics.psf, pitch, aperture, endless, phase)
+    limits = [(-0.5, n - 0.5) for n in scene.samples]
     return _MeasuredField(given, middle, corner, limits, max(half, given.least_size // 2))
+
+
+def first_places(camera, scene) -> tuple[list[int], tuple[float, float]]:
+    """Return the sample nearest to the first pixel's middle, and the rest of its place, by axis."""
+    first = [float(place[0]) for place in pixel_places(camera, scene)]
+    nearest = [round(one) for one in first]
+    rows, cols = (one - at for one, at in zip(first, nearest, strict=True))
+    return nearest, (rows, cols)
 
 
 class Splines:

@@ -55,13 +55,15 @@ def distance_at(optics, waves):
     ],
 )
 def test_a_star_has_the_spread_of_its_own_distance(waves, more, wave, options):
-    """The scene is a slope; the star stands at one distance of it."""
+    """The scene is a slope, or has two distances; the star stands at one of them."""
     own = near_camera(**more)
     at, plane = 22, np.zeros((N, N))
     plane[at, at] = 1e4
     slope = (
         np.linspace(-0.5, 0.5, N)[None].repeat(N, axis=0) + waves - np.linspace(-0.5, 0.5, N)[at]
     )
+    if more and "hole" not in options:  # few kernels of these take long
+        slope = np.where(slope < slope[0, at] + 0.2, slope[0, at], waves + 0.5)
     scene = scene_of(plane, "zero", depth=distance_at(own.optics, slope))
     place = ((at - (N - 1) / 2) / np.hypot(N, N) * 2,) * 2
 

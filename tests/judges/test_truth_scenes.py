@@ -191,8 +191,8 @@ def test_what_has_no_truth_is_refused_in_one_line():
         ),
         (
             camera(wavefront=Wavefront(seidel=(0, 0.3, 0, 0, 0))),
-            scene_of(light(y, x), samples_per_pixel=2.0),
-            "2 samples per pixel",
+            scene_of(light(y, x), samples_per_pixel=1.5),
+            "1.5 samples per pixel",
         ),
     ):
         with pytest.raises(OutOfRange, match=words) as found:
