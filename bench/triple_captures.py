@@ -19,9 +19,12 @@ import gpusim as gs
 from gpusim.apps.preview.producer import Producer
 from gpusim.apps.routes import Held
 from gpusim.apps.video.scenes import Moving, Still
-from gpusim.apps.video.video import blurred_frames, frames
+from gpusim.apps.video.video import captured_frames, frames
+from gpusim.captures.bracket import Bracket
+from gpusim.captures.burst import Burst
+from gpusim.captures.capture import Capture, Light
+from gpusim.captures.reads import Reads
 from gpusim.domain.errors import OutOfRange
-from gpusim.judge.combinations import NoWay
 
 PERIOD = 1 / 30  # [s] of a video
 STEP = 0.3  # [sample] between instants
@@ -50,27 +53,46 @@ def exposures(question, simulator) -> list[Asked]:
     """Return the exposures of a question; all frames and reads are made, to find crashes."""
     names, scene = question.captures, question.scene
     moves = bool(names & {"motion", "rolling shutter"})
+    views = [made_scene(scene, view) for view in question.views]
+    found: list[Asked] = []
     if names & {"video", "preview", "batch"}:
-        return _outputs(question, simulator, moves)
-    found = []
-    for number, view in enumerate(question.views):
-        start = number * PERIOD
-        for stop in question.stops:
-            seconds = simulator.camera.sensor.exposure_time * 2.0**stop
-            if moves:
-                made = gs.expose_motion(
-                    simulator, scene, question.motion, seconds, start, flicker=question.flicker
-                )
-            else:
-                made = simulator.expose(scene.viewed(view) if not view.is_plain else scene, seconds)
-            for frame in made.frames(2 if "burst" in names else 1, seed=1):
-                frame.rgb  # noqa: B018  to find crashes
-            if "reads" in names:
-                if moves:
-                    raise NoWay("reads of a moving scene")
-                gs.read_nondestructively(simulator, made_scene(scene, view), [seconds / 2, seconds])
-            found.append(_asked(simulator, made, None if moves else view, start))
+        _use_outputs(question, simulator, views)
+    if "video" in names and not moves:
+        for number in range(2):
+            start = number * PERIOD
+            view = question.motion.at(start)
+            made = simulator.expose(made_scene(scene, view))
+            found.append(_asked(simulator, made, view, start))
+        return found
+    for number, one in enumerate(views):
+        for capture in captures(question):
+            light = Light(capture, simulator, one, number * capture.count)
+            shots = capture.shots(light, 1, number * capture.count)
+            for shot in shots:
+                shot.frame().rgb  # noqa: B018  to find crashes
+            after = 0.0
+            for shot in shots[:2]:
+                exposure = shot.exposure
+                start = number * PERIOD + after
+                found.append(_asked(simulator, exposure, None if moves else one.view, start))
+                after += 0.0 if "reads" in names else exposure.exposure_time + light.readout_time
     return found
+
+
+def captures(question, merged=False) -> list[Capture]:
+    """Return the captures of a question."""
+    names, seconds = question.captures, question.camera.sensor.exposure_time
+    more = {"period": PERIOD, "flicker": question.flicker, "merged": merged}
+    if "motion" in names:
+        more["motion"] = question.motion
+    if "reads" in names:
+        stops = question.stops
+        return [Reads(times=(0.5 * seconds * 2**k, seconds * 2**k), **more) for k in stops]
+    if "bracket" in names:
+        return [Bracket(stops=question.stops, **more)]
+    if "burst" in names:
+        return [Burst(size=2, **more)]
+    return [Capture(**more | {"merged": False})]
 
 
 def made_scene(scene, view):
@@ -84,41 +106,26 @@ def _asked(simulator, made, view, start=0.0):
     return Asked(mean, account, made.exposure_time, view, start, tuple(made.plan.left_out))
 
 
-def _outputs(question, simulator, moves):
-    names, scene, found = question.captures, question.scene, []
-    special = names & {"reads", "burst", "bracket"} | (
-        names & {"motion", "rolling shutter"} if names & {"preview", "batch"} else set()
-    )
-    if special:
-        raise NoWay(", ".join(sorted(special)))
-    path = question.motion
+def _use_outputs(question, simulator, views):
+    """Make frames by the outputs of a question, to find crashes."""
+    names, moves = question.captures, question.motion.pan
+    many = bool(names & {"reads", "burst", "bracket"})
+    capture = captures(question, merged=many)[0]
     if "video" in names:
-        still = Still(scene, 2)
-        scenes = Moving(still, path, 30, question.flicker)
-        show = blurred_frames if moves else frames
-        for made in show(simulator, scenes, [[0, 0, 1]], seed=1):
-            start = made.number * PERIOD
-            view = None if moves else path.at(start)
-            mean = np.array(made.values.mean, np.float64)
-            left = tuple(made.values.report.left_out)
-            found.append(Asked(mean, made.account, made.exposure_time, view, start, left))
-    views = [scene.viewed(view) for view in question.views if not view.is_plain] or [scene]
+        still = Still(question.scene, 2)
+        scenes = Moving(still, gs.Motion(pan=moves), 30, question.flicker)
+        blur = bool(names & {"motion", "rolling shutter"})
+        if many or blur:
+            list(captured_frames(simulator, scenes, [[0, 0, 1]], capture=capture, blur=blur))
+        else:
+            list(frames(simulator, scenes, [[0, 0, 1]]))
     if "preview" in names:
+        state = Held("", tolerance="1e-3", seed=1, held=simulator.camera)
         for one in views:
-            producer = Producer(Still(one, 1), simulator.device)
-            state = Held("", tolerance="1e-3", seed=1, held=simulator.camera)
-            producer.picture(state, 0)
-            exposure = simulator.expose(one)
-            found.append(_asked(simulator, exposure, one.view))
+            Producer(Still(one, 1), simulator.device, capture=capture).picture(state, 0)
     if "batch" in names:
         scenes = views if len(views) > 1 else views * 2
-        batch = simulator.batch(len(scenes), "mean")
-        means = np.array(simulator.device.numpy(batch(scenes)), np.float64)
-        seconds = simulator.camera.sensor.exposure_time
-        for one, mean, plan in zip(scenes, means, batch.plans, strict=True):
-            account = plan.account.at(seconds)
-            found.append(Asked(mean, account, seconds, one.view, 0.0, tuple(plan.left_out)))
-    return found
+        simulator.batch(len(scenes), "raw", capture=captures(question)[0])(scenes)
 
 
 def answers(question, asked: Asked):

@@ -215,7 +215,8 @@ def distorted(scene, camera, planes, beyond, order=None, is_flux=True):
             [map_coordinates(plane, places, order=order, mode="nearest") for plane in planes]
         )
     if not isinstance(camera.optics.relative_illumination, str):  # it is the flat field
-        at = [np.full((1, 1), camera.sensor.pixel_pitch * part) for part in axis_of(scene, camera)]
+        axis = axis_of(scene, camera)
+        at = [np.array([[camera.sensor.pixel_pitch * one]]) for one in axis]
         area = undisplace(model_of(scene, camera), at[1], at[0], pitch / 8)[2]
     return band_limited(planes, v / pitch, u / pitch, scene.border) * (area if is_flux else 1)
 

@@ -11,8 +11,9 @@ The frame and the truth share these parts. Each has an independent test (in test
 stated):
 - electrons per content, cubic in the wavelength between the scene's wavelengths (`optics.weights`):
   tests/host/test_weights.py;
-- transfer function and kernels of the pupil (`optics.otf`, `optics.rays`, `optics.lens`):
-  test_truth_stars.py, by Hankel and Fourier integrals of the pupil;
+- transfer function of the pupil on the axis (`optics.tables.exact_otf`), and kernels of point spreads
+  that are given (`optics.lens.MeasuredLens`): test_truth_stars.py, by Hankel and Fourier integrals of
+  the pupil; kernels of a pupil over the field are own sums over chords (`gpusim.judge.truth_pupil`);
 - displaced samples are points of light that keep their energy for any fill factor, and a uniform
   scene gives uniform pixels: test_truth_stars.py, test_truth_scenes.py;
 - light from afar, on a coarse grid (`optics.outside.unseen_light`): test_border.py;

@@ -297,7 +297,7 @@ def _blur_in_focus(change, camera, scene, rim, wavelength):
 
 
 def pupil_points(optics: Optics) -> np.ndarray:
-    """Return points (x, y) of a pupil, even in its area, in radii: (2, POINTS).
+    """Return points (x, y) of a pupil, even in its area, in radii: (2, POINTS or more).
 
     Source:
         Vogel's spiral, Mathematical Biosciences 44 (1979) 179.
@@ -312,8 +312,7 @@ def pupil_points(optics: Optics) -> np.ndarray:
             turned = (angle - pupil.rotation) % sector - sector / 2
             inside &= radius * np.cos(turned) < np.cos(sector / 2)
         if inside.sum() >= POINTS:
-            polar = radius[inside][:POINTS], angle[inside][:POINTS]
-            return np.stack([polar[0] * np.cos(polar[1]), polar[0] * np.sin(polar[1])])
+            return np.stack([radius * np.cos(angle), radius * np.sin(angle)])[:, inside]
         count += POINTS // 4
 
 

@@ -12,7 +12,7 @@ from math import prod
 import numpy as np
 import scipy
 
-from gpusim.judge.truth_lens import field_of
+from gpusim.judge.truth_lens import field_of, first_places
 from gpusim.judge.truth_light import axis_of
 from gpusim.optics.outside import border_indices
 from gpusim.optics.weights import electrons_per_content
@@ -44,7 +44,7 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
 
     Args:
         light: Light of every wavelength at its place in the image, (L, rows, cols), with the margin
-            of the scene, one sample per pixel.
+            of the scene, a whole number of samples per pixel.
         camera: The camera.
         scene: The scene.
         parts: Parts of the frame, see `blocks`.
@@ -53,16 +53,24 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
         DoesNotFit: The kernels need more memory than MOST_BYTES.
     """
     lens, weights = field_of(camera, scene), electrons_per_content(scene, camera)
-    total = [np.zeros((len(weights), *(at.stop - at.start for at in part))) for part in parts]
+    ratio, (first, _) = int(scene.samples_per_pixel), first_places(camera, scene)
+    places = [
+        [
+            slice(at + ratio * one.start, at + ratio * (one.stop - 1) + 1)
+            for at, one in zip(first, part, strict=True)
+        ]
+        for part in parts
+    ]
+    total = [np.zeros((len(weights), *(at.stop - at.start for at in part))) for part in places]
     for wavelength, share in zip(*lens.wavelengths(scene.wavelengths), strict=True):
         seen = np.tensordot(weights * share, light, 1)
         if not seen.any():
             continue
         kernels = lens.differences(wavelength)
-        for one, part in zip(total, parts, strict=True):
+        for one, part in zip(total, places, strict=True):
             window = _take_windows(seen, part, lens.half, scene.margin, scene.border)
             _spread(one, window, kernels, lens.limits, part)
-    return total
+    return [one[:, ::ratio, ::ratio] for one in total]
 
 
 def flat_fields(camera, scene, parts) -> list:

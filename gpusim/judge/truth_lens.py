@@ -14,12 +14,14 @@ import scipy
 
 from gpusim.domain.errors import DoesNotFit, OutOfRange
 from gpusim.domain.optics import Optics
-from gpusim.judge.truth_light import axis_of
+from gpusim.judge.truth_light import axis_of, pixel_places
+from gpusim.judge.truth_pupil import PupilKernels
 from gpusim.optics import tables
 from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
 from gpusim.optics.psf import spread_at
 
 DEGREE = 5  # of the splines
+AT_ONCE = 32  # kernels that are made together
 LEAST_PLACES, LEAST_WAVELENGTHS = 13, 5  # along an axis, and of a scene, to begin with
 ERROR = 1e-4  # of the largest energy of a pixel about a point: what splines may err half-way between places
 ANGLES = (1, 9, 17, 33, 65, 129)  # of spreads that turn
@@ -39,9 +41,9 @@ def require_truth(camera, scene):
     optics = camera.optics
     has_psf = optics.psf is not None
     samples = f"{scene.samples_per_pixel:g} samples per pixel"
-    if scene.samples_per_pixel != 1 and optics.varies:
+    if not float(scene.samples_per_pixel).is_integer() and optics.varies:
         what = f"{samples} with a blur that varies over the field"
-        raise OutOfRange("verify", what, "1 sample per pixel")
+        raise OutOfRange("verify", what, "a whole number of samples per pixel")
     if scene.samples_per_pixel != 1 and has_psf and optics.psf.integrated:
         allowed = "1 sample per pixel, or samples of the irradiance"
         raise OutOfRange("verify", f"{samples} with measured energies of pixels", allowed)
@@ -115,14 +117,14 @@ def _passed(rate):
 
 
 class Field(ABC):
-    """Kernels of a lens at places of the frame, from the centre of the first pixel [pixel].
+    """Kernels of a lens at samples of the scene, counted from the first one without the margin.
 
     Attributes:
         lens: The lens, see `gpusim.optics.lens`.
-        middle: Place of the optical axis [pixel].
-        corner: Distance that is a field height of 1 [pixel].
+        middle: Place of the optical axis [sample].
+        corner: Distance that is a field height of 1 [sample].
         limits: First and last place along each axis.
-        half: Half size of the differences [pixel].
+        half: Half size of the differences [sample].
     """
 
     def __init__(self, lens, middle, corner, limits, half):
@@ -145,6 +147,22 @@ class Field(ABC):
 
 class _PupilField(Field):
     """Kernels of a pupil: splines in the place and the wavelength."""
+
+    _known: PupilKernels | None = None
+
+    def kernel(self, wavelength, y, x) -> np.ndarray:
+        """See `Field`."""
+        return self._kernels(wavelength, [(y, x)])[0]
+
+    def _kernels(self, wavelength, places):
+        """Return the kernels at places (y, x) of the frame, (P, size, size)."""
+        lens, known = self.lens, self._known
+        if known is None or known.wavelength != wavelength:
+            pixels = lens.pitch, lens.aperture, lens.displacement
+            known = PupilKernels(lens.optics, wavelength, *pixels, self.corner, self.half)
+            self._known = known
+        middle = np.array(self.middle)
+        return known.at_places([(np.array(at) - middle) / self.corner for at in places])
 
     def wavelengths(self, known):
         """See `Field`."""
@@ -175,23 +193,37 @@ class _PupilField(Field):
     def differences(self, wavelength):
         """See `Field`."""
         axis, known = self.kernel(wavelength, *self.middle), {}
+        is_mirrored = self.lens.symmetry.is_mirrored
+
+        def fold(y, x):
+            """Return a place where the kernel is made: of a lens that has a mirror, in one quadrant."""
+            row, col = self.middle
+            if is_mirrored:
+                y, x = row + abs(y - row), col + abs(x - col)
+            return round(y, 6), round(x, 6)
+
+        def make(places):
+            """Make the kernels of new places, AT_ONCE at a time."""
+            new = sorted({fold(*at) for at in places} - known.keys())
+            for first in range(0, len(new), AT_ONCE):
+                part = new[first : first + AT_ONCE]
+                for at, kernel in zip(part, self._kernels(wavelength, part), strict=True):
+                    own = kernel - axis
+                    known[at] = (own - own.mean()).astype(np.float32)
 
         def difference(y, x):
-            """At a place; of a lens that has a mirror, from the quadrant where both are on the positive side."""
-            side, (row, col) = [1, 1], self.middle
-            if self.lens.symmetry.is_mirrored:
-                side = [1 if y >= row else -1, 1 if x >= col else -1]
-                y, x = row + abs(y - row), col + abs(x - col)
-            at = round(y, 6), round(x, 6)
-            if at not in known:
-                own = self.kernel(wavelength, y, x) - axis
-                known[at] = (own - own.mean()).astype(np.float32)
-            return known[at][:: side[0], :: side[1]]
+            make([(y, x)])
+            side = [
+                -1 if is_mirrored and at < middle else 1
+                for at, middle in zip((y, x), self.middle, strict=True)
+            ]
+            return known[fold(y, x)][:: side[0], :: side[1]]
 
         count = [min(ceil(high - low) + 1, LEAST_PLACES) for low, high in self.limits]
         while True:
             axes = [np.linspace(*limit, n) for limit, n in zip(self.limits, count, strict=True)]
             table = np.empty((*count, *axis.shape), np.float32)
+            make([(y, x) for y in axes[0] for x in axes[1]])
             for i, j in np.ndindex(*count):
                 table[i, j] = difference(axes[0][i], axes[1][j])
             splines = Splines(table, axes)
@@ -252,13 +284,23 @@ class _MeasuredField(Field):
 
 
 def field_of(camera, scene) -> Field:
-    """Return the kernels of a camera's lens in front of a scene's frame."""
-    optics, sensor = camera.optics, camera.sensor
-    pitch, corner = sensor.pixel_pitch, float(np.hypot(*scene.shape)) / 2
+    """Return the kernels of a camera's lens in front of a scene's frame, at the scene's samples."""
+    optics, sensor, ratio = camera.optics, camera.sensor, float(scene.samples_per_pixel)
+    pitch, corner = sensor.pixel_pitch / ratio, float(np.hypot(*scene.shape)) / 2 * ratio
     aperture = tuple(side / pitch for side in sensor.aperture)
-    axis = axis_of(camera, scene.shape)
-    limits = [(-scene.margin, n - 1 + scene.margin) for n in scene.shape]
-    middle = [(n - 1) / 2 + at for n, at in zip(scene.shape, axis, strict=True)]
+    first, phase = first_places(camera, scene)
+    limits = [(-scene.margin, n - 1 + scene.margin) for n in scene.samples]
+    middle = [
+        at + more + ratio * ((n - 1) / 2 - move + off)
+        for at, more, n, move, off in zip(
+            first,
+            phase,
+            scene.shape,
+            sensor.displacement,
+            axis_of(camera, scene.shape),
+            strict=True,
+        )
+    ]
     farthest = np.hypot(
         *(max(at - low, high - at) for at, (low, high) in zip(middle, limits, strict=True))
     )
@@ -267,12 +309,20 @@ def field_of(camera, scene) -> Field:
     rays = open_lens(optics, pitch).spread(scene.wavelengths, float(farthest / corner))
     half = ceil(max(LEAST_REACH, RINGS * q, RADII * rays) + lateral)
     if optics.psf is None:
-        lens = PupilLens(optics, pitch, aperture, corner, sensor.displacement)
+        lens = PupilLens(optics, pitch, aperture, corner, phase)
         return _PupilField(lens, middle, corner, limits, half)
     endless = (np.inf, np.inf)
-    given = MeasuredLens(optics, optics.psf, pitch, aperture, endless, sensor.displacement)
-    limits = [(-0.5, n - 0.5) for n in scene.shape]
+    given = MeasuredLens(optics, optics.psf, pitch, aperture, endless, phase)
+    limits = [(-0.5, n - 0.5) for n in scene.samples]
     return _MeasuredField(given, middle, corner, limits, max(half, given.least_size // 2))
+
+
+def first_places(camera, scene) -> tuple[list[int], tuple[float, float]]:
+    """Return the sample nearest to the first pixel's middle, and the rest of its place, by axis."""
+    first = [float(place[0]) for place in pixel_places(camera, scene)]
+    nearest = [round(one) for one in first]
+    rows, cols = (one - at for one, at in zip(first, nearest, strict=True))
+    return nearest, (rows, cols)
 
 
 class Splines:

@@ -15,6 +15,7 @@ from gpusim.domain.content import Cube
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
+from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Wavefront
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
@@ -181,11 +182,17 @@ def test_what_has_no_truth_is_refused_in_one_line():
     y, x = grid(32)
     deep = scene_of(light(y, x), depth=np.full((32, 32), 2.0))
     for own, scene, words in (
-        (camera(distortion=RadialPolynomial(0.0, 0.01, 1e-4)), deep, "depth beside distortion"),
+        (
+            camera(
+                model="measured", psf=PointSpread(BANDS[[0, -1]], np.ones((2, 3, 3)), PITCH / 4)
+            ),
+            deep,
+            "measured at one distance",
+        ),
         (
             camera(wavefront=Wavefront(seidel=(0, 0.3, 0, 0, 0))),
-            scene_of(light(y, x), samples_per_pixel=2.0),
-            "2 samples per pixel",
+            scene_of(light(y, x), samples_per_pixel=1.5),
+            "1.5 samples per pixel",
         ),
     ):
         with pytest.raises(OutOfRange, match=words) as found:
