@@ -200,10 +200,6 @@ class Scene(Pictured):
     def _check_view(self):
         if not isinstance(self.view, View):
             raise BadData(f"{self._label}: view {type(self.view).__name__}, wanted a View")
-        if self.depth is not None and not self.view.is_plain:
-            raise BadData(
-                f"{self._label}: a view does not move the depth of a scene; leave out view or depth"
-            )
 
     def _check_layers(self):
         object.__setattr__(self, "layers", tuple(self.layers))
