@@ -2,7 +2,7 @@
 
 import numpy as np
 
-FINE = 12  # pupil samples between two frequencies of a period: the rim's error is below 1e-4 of the transfer
+FINE = 4  # pupil samples between two frequencies of a period: the rim's error is below 1e-4 of the transfer
 
 
 def waves(lens, x, y, place=(0.0, 0.0), distance=None):

@@ -299,10 +299,6 @@ class Scene(Pictured):
                 f"{self._label}: a view of the image of a panorama; turn the camera instead, by yaw, pitch and roll "
                 "of gs.view_panorama"
             )
-        if self.depth is not None and not self.view.is_plain:
-            raise BadData(
-                f"{self._label}: a view does not move the depth of a scene; leave out view or depth"
-            )
 
     def _check_layers(self):
         object.__setattr__(self, "layers", tuple(self.layers))

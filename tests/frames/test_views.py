@@ -258,8 +258,6 @@ def test_views_that_cannot_be_are_refused(planes, tmp_path):
     ):
         with pytest.raises(error):
             gs.View(**wrong)
-    with pytest.raises(BadData, match="depth"):
-        scene_of(planes, depth=np.ones((60, 60)), view=gs.View((1, 0)))
     with pytest.raises(BadData, match="wanted a View"):
         scene_of(planes, view=(1, 0))
     with pytest.raises(BadData, match="wanted a View"):
