@@ -17,6 +17,7 @@ FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
 COUNTS = (128, 256, 512, 1024, 2048, 4096)
 MOST_CELLS = 4096
+USUAL = 0.999  # quantile of the light of a layer that is taken for its brightest
 SAMPLED = 400  # places at which errors of the sum are measured
 
 
@@ -48,7 +49,8 @@ class Occlusion:
         points: y, x and share of points of the pupil, float32 (M, 3).
         error: Bound of the changes that are not computed, and error of the sum over points where they are [brightness],
             shape (rows, cols).
-        change: What the sum changes at the places that were tried, as a root mean square [brightness].
+        seen: Bound of what the sum changes where it is computed, scaled to the changes that were tried [brightness],
+            shape (rows, cols).
     """
 
     places: np.ndarray
@@ -56,7 +58,12 @@ class Occlusion:
     radii: np.ndarray
     points: np.ndarray
     error: np.ndarray
-    change: float = 0.0
+    seen: np.ndarray
+
+    @property
+    def work(self) -> float:
+        """Multiplications and additions of one channel."""
+        return 12.0 * self.members.size * len(self.points)
 
     def within(self, margin: int, shape: tuple[int, int]) -> "tuple[np.ndarray, ...]":
         """Return places, members and radii in a frame of `shape` that begins `margin` samples inside."""
@@ -89,7 +96,7 @@ def is_open(pupil: Pupil, y: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def pupil_cells(pupil: Pupil, radii: Sequence[float]) -> np.ndarray | None:
-    """Return the parts of the pupil through which the same samples are seen, one point each; None if there are too many.
+    """Return the parts of the pupil through which the same samples are seen, one point each; None if too many.
 
     With them the sum over the pupil is exact for samples that are even over their cells and blurs of these radii. A
     part is a rectangle between the places where a ray passes from one sample to the next.
@@ -131,7 +138,7 @@ def find_occlusion(
     places = np.argwhere(change > least).astype(np.int32)
     error = np.where(change > least, 0, change)
     if not len(places):
-        return Occlusion(*_nothing(), error)
+        return Occlusion(*_nothing(), error, np.zeros(shape))
     members = _members(taking_part, places)
     kinds = np.maximum(members, 0)
     radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
@@ -162,7 +169,34 @@ def find_occlusion(
                 points, numeric = fewer, wrong
                 break
     error[places[:, 0], places[:, 1]] = numeric
-    return Occlusion(places, members, radii, points.astype(np.float32), error, _size(changed))
+    seen = np.where(change > least, change, 0)
+    bound = _size(change[tried[0][:, 0], tried[0][:, 1]])
+    seen *= _size(changed) / bound
+    return Occlusion(places, members, radii, points.astype(np.float32), error, seen)
+
+
+def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:
+    """Return a bound of the error of surfaces that are guessed, brightness (rows, cols).
+
+    The share of guessed light that a pixel sees, times what the light there may be instead: any
+    that the layer shows elsewhere.
+    """
+    error, through = 0.0, 1.0
+    for sheet in sheets:
+        reach = int(np.ceil(np.abs(sheet.radius).max()))
+        cover, share = sheet.alpha, 0.0
+        if reach:
+            cover = scipy.ndimage.uniform_filter(cover, 2 * reach + 1, mode="nearest")
+        if sheet.guessed is not None and sheet.guessed.any():
+            shown = (sheet.alpha > 0) & ~sheet.guessed
+            seen = sheet.light[shown] if shown.any() else sheet.light
+            low, high = np.quantile(seen, [1 - USUAL, USUAL])
+            other = np.maximum(high - sheet.light, sheet.light - low) * sheet.alpha * sheet.guessed
+            # light may come from anywhere within the blur
+            share = scipy.ndimage.uniform_filter(other, 2 * reach + 1, mode="nearest")
+        error = error + through * share
+        through = through * (1 - cover)
+    return np.broadcast_to(error, sheets[0].alpha.shape)
 
 
 def _size(values):

@@ -21,6 +21,7 @@ from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.far import far
 from gpusim.kernels.optics.field import field, transfer
+from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
@@ -297,13 +298,17 @@ class _Steps:
                     * (prod(self.transfers.shape[:2]) + self.channels)
                     * len(self.depth.kernels)
                 )
+            work = float(per_layer * self.channels * self.samples)
+            if self.depth.occlusion is not None:
+                nbytes += 4 * (self.channels + 1) * self.depth.layers * self.samples
+                work += self.channels * self.depth.occlusion.work
             chain.add(
                 "optics.composite",
                 {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
                 run=composite_layers,
                 words=self.words("optics.composite"),
                 nbytes=nbytes + self._bytes_of_blur() + self._bytes_of_tables(),
-                work=float(per_layer * self.channels * self.samples),
+                work=work,
                 host="tables of each layer need a few numbers per wavelength"
                 + (f"; {BY_SCIPY}" if self.device.on_host else ""),
             )
@@ -777,12 +782,13 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
     depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
     assert depth is not None and form is not None
     channels, margin = len(plan.weights), plan.scene.margin - form.spare
-    lights, alphas, layers = [], [], []
+    lights, alphas, layers, sharp = [], [], [], []
     for layer in range(depth.layers):
         content, coverage, confusion = depth.sheet(layer, plan.content)
         own = planes_
         if content is not plan.content:
             own = planes(device, made and made.table, store(device, content))
+        sharp.append((own, coverage))
         for kernel, share in depth.shares(coverage, confusion):
             of_planes, of_white = tables.at_distance(plan, kernel)
             share = device.array(share[None])
@@ -806,8 +812,57 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
             )
             lights.append(light)
             alphas.append(alpha)
-            layers.append(layer)
-    return composite(device.stack(lights), device.stack(alphas), layers, device=device)
+            layers.append(depth.groups[layer])
+    composed = composite(device.stack(lights), device.stack(alphas), layers, device=device)
+    return occlude_layers(composed, sharp, plan=plan, border=border, device=device)
+
+
+def occlude_layers(composed, sharp, *, plan: Plan, border, device) -> Any:
+    """Return composed channels with the sum over the pupil where several layers are out of focus.
+
+    sharp: planes and coverage of each layer before the blur.
+    """
+    depth, form, fusion = plan.find(DepthPlan), plan.find(Blur), plan.find(Fusion)
+    assert depth is not None and form is not None
+    if depth.occlusion is None:
+        return composed
+    margin = plan.scene.margin - form.spare
+    places, members, radii = depth.occlusion.within(margin, composed.shape[1:])
+    if not len(places):
+        return composed
+    flat = plan.flat if fusion is None else fusion.transfers @ plan.flat
+    weights = (form.mix * flat).astype(np.float32)
+    covers = [device.array(np.asarray(cover, np.float32)[None]) for _, cover in sharp]
+    # samples of layers of one group are covered once
+    lights, alphas = [], []
+    for group in range(depth.groups[-1] + 1):
+        own = [n for n, its in enumerate(depth.groups) if its == group]
+        planes_ = [falloff(sharp[n][0], covers[n], device=device) for n in own]
+        each = [integrate(one, weights, device=device) for one in planes_]
+        lights.append(_sum(each, device))
+        alphas.append(device.part(_sum([covers[n] for n in own], device), 0))
+    return occlude(
+        composed,
+        device.stack(lights),
+        device.stack(alphas),
+        places,
+        members,
+        radii,
+        depth.occlusion.points,
+        border,
+        margin=margin,
+        device=device,
+    )
+
+
+def _sum(arrays, device):
+    """Return the sum of arrays (planes, rows, cols)."""
+    if len(arrays) == 1:
+        return arrays[0]
+    count, *shape = arrays[0].shape
+    every = device.reshape(device.stack(arrays), (len(arrays), count * shape[0], shape[1]))
+    ones = np.ones((1, len(arrays)), np.float32)
+    return device.reshape(integrate(every, ones, device=device), (count, *shape))
 
 
 def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:
