@@ -51,6 +51,8 @@ class Occlusion:
             shape (rows, cols).
         seen: Bound of what the sum changes where it is computed, scaled to the changes that were tried [brightness],
             shape (rows, cols).
+        is_diffracted: Whether what diffraction in focus makes of products is computed, too.
+        sharp: Groups of layers whose blurs stay within their samples.
     """
 
     places: np.ndarray
@@ -59,6 +61,8 @@ class Occlusion:
     points: np.ndarray
     error: np.ndarray
     seen: np.ndarray
+    is_diffracted: bool = False
+    sharp: tuple[int, ...] = ()
 
     @property
     def work(self) -> float:

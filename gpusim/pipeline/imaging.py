@@ -788,21 +788,12 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
         own = planes_
         if content is not plan.content:
             own = planes(device, made and made.table, store(device, content))
-        sharp.append((own, coverage))
         for kernel, share in depth.shares(coverage, confusion):
             of_planes, of_white = tables.at_distance(plan, kernel)
-            share = device.array(share[None])
-            light = blur(
-                falloff(own, share, device=device),
-                of_planes,
-                form.mix,
-                border,
-                form.period,
-                margin=margin,
-                device=device,
-            )
+            cover = device.array(share[None])
+            light = falloff(own, cover, device=device)
             alpha = blur(
-                share,
+                cover,
                 of_white,
                 np.ones((channels, 1), np.float32),
                 "edge" if border == "zero" else border,
@@ -810,59 +801,137 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
                 margin=margin,
                 device=device,
             )
-            lights.append(light)
+            lights.append(
+                blur(
+                    light,
+                    of_planes,
+                    form.mix,
+                    border,
+                    form.period,
+                    margin=margin,
+                    device=device,
+                )
+            )
             alphas.append(alpha)
             layers.append(depth.groups[layer])
+            sharp.append(sharpen(light, cover, plan, device))
     composed = composite(device.stack(lights), device.stack(alphas), layers, device=device)
-    return occlude_layers(composed, sharp, plan=plan, border=border, device=device)
+    if depth.occlusion is None:
+        return composed
+    groups = _Groups(lights, alphas, sharp, layers, plan, border, device)
+    return groups.occlude(groups.diffract(composed, tables))
 
 
-def occlude_layers(composed, sharp, *, plan: Plan, border, device) -> Any:
-    """Return composed channels with the sum over the pupil where several layers are out of focus.
-
-    sharp: planes and coverage of each layer before the blur.
-    """
+def sharpen(light, cover, plan: Plan, device) -> Any:
+    """Return planes as channels without blur, and their coverage; None if no light is summed over the pupil."""
     depth, form, fusion = plan.find(DepthPlan), plan.find(Blur), plan.find(Fusion)
     assert depth is not None and form is not None
     if depth.occlusion is None:
-        return composed
-    margin = plan.scene.margin - form.spare
-    places, members, radii = depth.occlusion.within(margin, composed.shape[1:])
-    if not len(places):
-        return composed
+        return None
     flat = plan.flat if fusion is None else fusion.transfers @ plan.flat
-    weights = (form.mix * flat).astype(np.float32)
-    covers = [device.array(np.asarray(cover, np.float32)[None]) for _, cover in sharp]
-    # samples of layers of one group are covered once
-    lights, alphas = [], []
-    for group in range(depth.groups[-1] + 1):
-        own = [n for n, its in enumerate(depth.groups) if its == group]
-        planes_ = [falloff(sharp[n][0], covers[n], device=device) for n in own]
-        each = [integrate(one, weights, device=device) for one in planes_]
-        lights.append(_sum(each, device))
-        alphas.append(device.part(_sum([covers[n] for n in own], device), 0))
-    return occlude(
-        composed,
-        device.stack(lights),
-        device.stack(alphas),
-        places,
-        members,
-        radii,
-        depth.occlusion.points,
-        border,
-        margin=margin,
-        device=device,
-    )
+    return integrate(light, (form.mix * flat).astype(np.float32), device=device), cover
+
+
+class _Groups:
+    """Layers that are composed, blurred and sharp: sums of their parts. See `composite_layers`."""
+
+    def __init__(self, lights, alphas, sharp, layers, plan, border, device):
+        self._plan, self._border, self._device = plan, border, device
+        self._depth, form = plan.find(DepthPlan), plan.find(Blur)
+        self._margin, self._period = plan.scene.margin - form.spare, form.period
+        self._count = layers[-1] + 1
+
+        def sums(arrays):
+            return [
+                _sum([one for one, its in zip(arrays, layers, strict=True) if its == group], device)
+                for group in range(self._count)
+            ]
+
+        self._blurred = list(zip(sums(lights), sums(alphas), strict=True))
+        covers = sums([cover for _, cover in sharp])
+        self._sharp = list(zip(sums([light for light, _ in sharp]), covers, strict=True))
+
+    def occlude(self, composed):
+        """Return composed channels with the sum over the pupil where several layers are out of focus."""
+        found, device = self._depth.occlusion, self._device
+        places, members, radii = found.within(self._margin, composed.shape[1:])
+        if not len(places):
+            return composed
+        return occlude(
+            composed,
+            device.stack([light for light, _ in self._sharp]),
+            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
+            places,
+            members,
+            radii,
+            found.points,
+            self._border,
+            margin=self._margin,
+            device=device,
+        )
+
+    def diffract(self, composed, tables):
+        """Return composed channels with what diffraction in focus blurs of products, not of their factors.
+
+        With K that blur, a the coverage of a layer and L the light behind it, K ((1 - a) L) is added
+        and (1 - K a) K L taken away.
+        """
+        found, device = self._depth.occlusion, self._device
+        if not found.is_diffracted:
+            return composed
+        sampled, smooth = tables.in_focus(self._plan)
+        is_sharp, behind, more = False, None, None
+        for group in range(self._count - 1, -1, -1):
+            light, alpha = self._blurred[group]
+            cover = alpha
+            if group in found.sharp:
+                shape = composed.shape[1:]
+                light, alpha = (self._crop(one, shape) for one in self._sharp[group])
+                is_sharp = True
+            if behind is not None:
+                table = sampled if is_sharp else smooth
+                hidden = falloff(behind, alpha, device=device)
+                product = falloff(
+                    self._spread(behind, table), self._spread(alpha, table), device=device
+                )
+                change = [(-1, self._spread(hidden, table)), (1, product)]
+                if more is not None:
+                    change += [(1, more), (-1, falloff(more, cover, device=device))]
+                more = _mix(change, device)
+                light = _mix([(1, light), (1, behind), (-1, hidden)], device)
+            behind = light
+        return _mix([(1, composed), (1, more)], device)
+
+    def _spread(self, fields, table):
+        """Return fields, one of each channel or one of all, blurred in focus."""
+        channels, one = table.shape[0], fields.shape[0] == 1
+        if not one:
+            table = self._device.reshape(table, (1, channels, *table.shape[2:]))
+        mix = np.ones((channels, 1), np.float32) if one else np.eye(channels, dtype=np.float32)
+        return blur(fields, table, mix, "edge", self._period, device=self._device)
+
+    def _crop(self, planes_, shape):
+        """Return planes in the frame of the blurred ones; samples beyond them go on at the edge."""
+        starts = [
+            np.clip(self._margin + np.arange(size), 0, whole - 1).astype(np.int32)
+            for size, whole in zip(shape, planes_.shape[1:], strict=True)
+        ]
+        weights = [np.ones((size, 1), np.float32) for size in shape]
+        return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=self._device)
 
 
 def _sum(arrays, device):
     """Return the sum of arrays (planes, rows, cols)."""
-    if len(arrays) == 1:
-        return arrays[0]
-    count, *shape = arrays[0].shape
-    every = device.reshape(device.stack(arrays), (len(arrays), count * shape[0], shape[1]))
-    ones = np.ones((1, len(arrays)), np.float32)
-    return device.reshape(integrate(every, ones, device=device), (count, *shape))
+    return _mix([(1, one) for one in arrays], device) if len(arrays) > 1 else arrays[0]
+
+
+def _mix(terms, device):
+    """Return the sum of arrays (planes, rows, cols) times numbers: pairs (number, array)."""
+    numbers, arrays = zip(*terms, strict=True)
+    count, rows, cols = arrays[0].shape
+    every = device.reshape(device.stack(arrays), (len(arrays), count * rows, cols))
+    mixed = integrate(every, np.array([numbers], np.float32), device=device)
+    return device.reshape(mixed, (count, rows, cols))
 
 
 def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:

@@ -199,7 +199,8 @@ class Plan:
             grid and grid.method,
             varying and (varying.method, varying.index),
             depth and (depth.layers, depth.layer),
-            depth and depth.occlusion and depth.occlusion.places,
+            depth and depth.groups,
+            depth and depth.occlusion and (depth.occlusion.places, depth.occlusion.is_diffracted),
         )
         kind = scene.content.shape, scene.border, scene.margin, float(scene.samples_per_pixel)
         return digest(

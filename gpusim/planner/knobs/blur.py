@@ -35,6 +35,8 @@ MOST_LEAST = 1e-2  # and of the light
 DIFFRACTED = (
     1.0  # share of what the sum over the pupil changes: rays take part of a wave out of focus
 )
+SMALL = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
+LEFT = 0.25  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
 NEAR = 4.0  # [sample] over which noise is taken from the light
 OTHERS = "depth, if "  # begins the names of errors of alternatives
@@ -166,7 +168,13 @@ def _with_occlusion(question, depth, probes, notes):
         sheets, question.optics.pupil, "edge" if border == "scene" else border, least
     )
     known = probes() if question.tolerance is not None else None
-    wrong = np.hypot(found.error, _behind_edges(question, sheets))
+    wrong, tolerance = _behind_edges(question, sheets), question.tolerance
+    bound = _located(question, wrong, picture, known)
+    if tolerance is None or bound.ratio(tolerance) > SMALL:
+        sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
+        found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
+        wrong = LEFT * wrong
+    wrong = np.hypot(found.error, wrong)
     bounds = {"depth, light behind the edges of layers": _located(question, wrong, picture, known)}
     if len(found.places):
         notes.leave_out(
