@@ -819,7 +819,7 @@ def composite_layers(planes_, *, plan: Plan, tables: LensTables, border, device)
     if depth.occlusion is None:
         return composed
     groups = _Groups(lights, alphas, sharp, layers, plan, border, device)
-    return groups.occlude(groups.diffract(composed, tables))
+    return groups.occlude(groups.diffract(composed, tables), tables)
 
 
 def sharpen(light, cover, plan: Plan, device) -> Any:
@@ -851,13 +851,16 @@ class _Groups:
         covers = sums([cover for _, cover in sharp])
         self._sharp = list(zip(sums([light for light, _ in sharp]), covers, strict=True))
 
-    def occlude(self, composed):
-        """Return composed channels with the sum over the pupil where several layers are out of focus."""
+    def occlude(self, composed, tables):
+        """Return composed channels with the sum over the pupil where several layers are out of focus.
+
+        Its change is of rays, and is blurred by diffraction.
+        """
         found, device = self._depth.occlusion, self._device
         places, members, radii = found.within(self._margin, composed.shape[1:])
         if not len(places):
             return composed
-        return occlude(
+        changed = occlude(
             composed,
             device.stack([light for light, _ in self._sharp]),
             device.stack([device.part(cover, 0) for _, cover in self._sharp]),
@@ -869,6 +872,9 @@ class _Groups:
             margin=self._margin,
             device=device,
         )
+        _, smooth = tables.in_focus(self._plan)
+        change = self._spread(_mix([(1, changed), (-1, composed)], device), smooth)
+        return _mix([(1, composed), (1, change)], device)
 
     def diffract(self, composed, tables):
         """Return composed channels with what diffraction in focus blurs of products, not of their factors.

@@ -36,7 +36,7 @@ DIFFRACTED = (
     1.0  # share of what the sum over the pupil changes: rays take part of a wave out of focus
 )
 SMALL = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
-LEFT = 0.25  # of it, after it was computed
+LEFT = 0.15  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
 NEAR = 4.0  # [sample] over which noise is taken from the light
 OTHERS = "depth, if "  # begins the names of errors of alternatives
