@@ -15,9 +15,11 @@ from gpusim.domain.pupil import Pupil
 
 FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
-COUNTS = (128, 256, 512, 1024, 2048, 4096)
+COUNTS = (128, 256, 512, 1024, 2048)
 MOST_CELLS = 4096
 USUAL = 0.999  # quantile of the light of a layer that is taken for its brightest
+BLOCK = 16  # [sample] of blocks whose brightest light is taken
+TOGETHER = 2**16  # places times points that are summed at once
 SAMPLED = 400  # places at which errors of the sum are measured
 
 
@@ -169,7 +171,7 @@ def find_occlusion(
         for count in COUNTS[:-1]:
             fewer = pupil_points(pupil, count)
             wrong = _size(values(fewer) - changed)
-            if wrong <= least:
+            if wrong <= 2 * least:
                 points, numeric = fewer, wrong
                 break
     error[places[:, 0], places[:, 1]] = numeric
@@ -237,11 +239,11 @@ def _bounds(sheets, pupil):
         sharp = np.abs(sheet.radius) <= SHARP
         varies = np.where(sharp, 0, widen * _deviation(sheet.alpha, reach))
         light_varies = np.where(sharp, 0, widen * _deviation(sheet.light, reach))
-        clear = 1 - _around(scipy.ndimage.minimum_filter, sheet.alpha, reach)
+        clear = np.where(sharp | (varies == 0), 1 - sheet.alpha, 1)
         error = clear * error + varies * deviation
         deviation = light_varies + clear * deviation + varies * brightest
         own = np.divide(sheet.light, sheet.alpha, where=sheet.alpha > 0, out=0 * sheet.light)
-        brightest = np.maximum(brightest, _around(scipy.ndimage.maximum_filter, own, reach))
+        brightest = np.maximum(brightest, _brightest(own, reach))
         parts.append(((sheet.alpha > 0) | (varies > 0), clear == 0))
     for there, opaque in reversed(parts):
         taking_part.append(there & ~covered)
@@ -249,9 +251,14 @@ def _bounds(sheets, pupil):
     return error, np.stack(taking_part)
 
 
-def _around(filter_, values, reach):
-    """A filter over the square of 2 reach + 1 samples around each sample."""
-    return filter_(np.asarray(values, np.float64), size=2 * reach + 1, mode="nearest")
+def _brightest(values, reach):
+    """The most of the values in a square around each sample, or more: of whole blocks."""
+    side = max(reach, BLOCK)
+    down, across = (np.arange(0, n, side) for n in values.shape)
+    most = np.maximum.reduceat(np.maximum.reduceat(values, down, axis=0), across, axis=1)
+    most = scipy.ndimage.maximum_filter(most, size=3, mode="nearest")
+    rows, cols = (np.arange(n) // side for n in values.shape)
+    return most[np.ix_(rows, cols)]
 
 
 def _deviation(values, reach):
@@ -272,24 +279,28 @@ def covariance(lights, alphas, places, members, radii, points, border):
     Inputs as of `optics.occlude`. Only the choice of the sample that a point sees is made in float32, as on devices: a
     half may round either way.
     """
-    members, radii = np.asarray(members), np.asarray(radii, np.float32)
-    lights, alphas = np.asarray(lights), np.asarray(alphas)
-    there, kinds = members >= 0, np.maximum(members, 0)
-    count, (rows, cols) = places.shape[0], alphas.shape[1:]
-    exact = np.zeros((lights.shape[1], count))
-    mean_light = np.zeros((len(members), *exact.shape))
+    lights, alphas, members = np.asarray(lights), np.asarray(alphas), np.asarray(members)
+    radii, points = np.asarray(radii, np.float32), np.asarray(points, np.float32)
+    there, kinds = (members >= 0)[..., None], np.maximum(members, 0)[..., None]
+    (count, _), channels, (rows, cols) = places.shape, lights.shape[1], alphas.shape[1:]
+    exact = np.zeros((channels, count))
+    mean_light = np.zeros((len(members), channels, count))
     mean_alpha = np.zeros((len(members), count))
-    for v, u, share in np.asarray(points, np.float32):
-        through = np.ones(count)
-        for s, (k, radius) in enumerate(zip(kinds, radii, strict=True)):
-            y, dark_y = _sample(places[:, 0] + np.floor(radius * v + np.float32(0.5)), rows, border)
-            x, dark_x = _sample(places[:, 1] + np.floor(radius * u + np.float32(0.5)), cols, border)
-            alpha = alphas[k, y, x] * there[s]
-            light = lights[k, :, y, x].T.astype(np.float64) * (there[s] & ~dark_y & ~dark_x)
-            exact += float(share) * through * light
+    size = max(TOGETHER // max(count, 1), 1)
+    for some in (points[n : n + size] for n in range(0, len(points), size)):
+        v, u, share = some[:, 0], some[:, 1], some[:, 2].astype(np.float64)
+        through = np.ones((count, len(some)))
+        for s, radius in enumerate(radii[..., None]):
+            down, across = (np.floor(radius * one + np.float32(0.5)) for one in (v, u))
+            y, dark_y = _sample(places[:, :1] + down, rows, border)
+            x, dark_x = _sample(places[:, 1:] + across, cols, border)
+            alpha = alphas[kinds[s], y, x] * there[s]
+            for c in range(channels):
+                light = lights[kinds[s], c, y, x] * (there[s] & ~dark_y & ~dark_x)
+                exact[c] += (through * light) @ share
+                mean_light[s, c] += light @ share
             through *= 1.0 - alpha
-            mean_light[s] += float(share) * light
-            mean_alpha[s] += float(share) * alpha
+            mean_alpha[s] += alpha @ share
     before = np.cumprod(np.concatenate([np.ones((1, count)), 1 - mean_alpha[:-1]]), axis=0)
     return exact - (before[:, None] * mean_light).sum(axis=0)
 
