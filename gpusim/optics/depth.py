@@ -226,7 +226,8 @@ def plan_depth(
     tolerance = tolerance or TOLERANCE
     depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
     confusion = checked_confusion(optics, pitch, depth, light.shape)
-    sheets, groups = (), ()
+    sheets: tuple = ()
+    groups: tuple[int, ...] = ()
     if scene is not None and scene.layers:
         sheets, groups = _group(_sheets(scene, optics, pitch))
     every = confusion

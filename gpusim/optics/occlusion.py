@@ -5,7 +5,7 @@ several are, both vary over the pupil together, and `optics.occlude` sums over i
 changes, from the variation of coverage and light within the blurs, finds the places that need it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,7 +101,7 @@ def is_open(pupil: Pupil, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     return found
 
 
-def pupil_cells(pupil: Pupil, radii: Sequence[float]) -> np.ndarray | None:
+def pupil_cells(pupil: Pupil, radii: Iterable[float]) -> np.ndarray | None:
     """Return the parts of the pupil through which the same samples are seen, one point each; None if too many.
 
     With them the sum over the pupil is exact for samples that are even over their cells and blurs of these radii. A
@@ -144,7 +144,9 @@ def find_occlusion(
     places = np.argwhere(change > least).astype(np.int32)
     error = np.where(change > least, 0, change)
     if not len(places):
-        return Occlusion(*_nothing(), error, np.zeros(shape))
+        nowhere, empty = np.empty((0, 2), np.int32), np.empty((0, 0), np.int32)
+        points = np.empty((0, 3), np.float32)
+        return Occlusion(nowhere, empty, empty.astype(np.float32), points, error, np.zeros(shape))
     members = _members(taking_part, places)
     kinds = np.maximum(members, 0)
     radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
@@ -187,10 +189,10 @@ def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:
     The share of guessed light that a pixel sees, times what the light there may be instead: any
     that the layer shows elsewhere.
     """
-    error, through = 0.0, 1.0
+    error, through = np.zeros(sheets[0].alpha.shape), np.ones(sheets[0].alpha.shape)
     for sheet in sheets:
         reach = int(np.ceil(np.abs(sheet.radius).max()))
-        cover, share = sheet.alpha, 0.0
+        cover, share = sheet.alpha, np.zeros(sheet.alpha.shape)
         if reach:
             cover = scipy.ndimage.uniform_filter(cover, 2 * reach + 1, mode="nearest")
         if sheet.guessed is not None and sheet.guessed.any():
@@ -202,16 +204,11 @@ def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:
             share = scipy.ndimage.uniform_filter(other, 2 * reach + 1, mode="nearest")
         error = error + through * share
         through = through * (1 - cover)
-    return np.broadcast_to(error, sheets[0].alpha.shape)
+    return error
 
 
 def _size(values):
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
-
-
-def _nothing():
-    empty = np.empty((0, 0), np.int32)
-    return np.empty((0, 2), np.int32), empty, empty.astype(np.float32), np.empty((0, 3), np.float32)
 
 
 def _members(taking_part, places):

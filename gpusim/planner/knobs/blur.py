@@ -35,7 +35,7 @@ MOST_LEAST = 1e-2  # and of the light
 DIFFRACTED = (
     1.0  # share of what the sum over the pupil changes: rays take part of a wave out of focus
 )
-SMALL = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
+NEGLIGIBLE = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
 LEFT = 0.15  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
 NEAR = 4.0  # [sample] over which noise is taken from the light
@@ -170,7 +170,7 @@ def _with_occlusion(question, depth, probes, notes):
     known = probes() if question.tolerance is not None else None
     wrong, tolerance = _behind_edges(question, sheets), question.tolerance
     bound = _located(question, wrong, picture, known)
-    if tolerance is None or bound.ratio(tolerance) > SMALL:
+    if tolerance is None or bound.ratio(tolerance) > NEGLIGIBLE:
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
         wrong = LEFT * wrong
