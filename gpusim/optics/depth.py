@@ -9,21 +9,25 @@ Kosloff, "Algorithms for Rendering Depth of Field Effects in Computer Graphics",
 placed where they remove the most predicted error.
 """
 
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 import numpy as np
 import scipy
 from scipy.special import jv
 
+from gpusim.domain.account import Bound
 from gpusim.domain.content import Basis, Cube
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.optics.edges import MOST_LAYERS, Edges
+from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
 
 MOST_KERNELS = 64
+SAME = 0.02  # [pixel] between circles of confusion that count as one, for layers in focus
 TOLERANCE = 1e-4  # relative root mean square error by default
 
 
@@ -69,6 +73,11 @@ class DepthPlan:
         predicted: Relative RMS errors, of this choice and of the alternative.
         sheets: Content, coverage and circles of confusion of each layer, if the scene has
             layers.
+        groups: Number of each layer among those that are composed. Consecutive layers in focus are
+            one: laid over one another before the blur.
+        occlusion: Places between layers at which light is summed over the pupil; None: there are
+            none.
+        bounds: Errors that are located, as far as they are known without probes.
     """
 
     distances: np.ndarray
@@ -79,6 +88,9 @@ class DepthPlan:
     model: str
     predicted: dict = field(default_factory=dict)
     sheets: tuple = ()
+    groups: tuple[int, ...] = ()
+    occlusion: Occlusion | None = None
+    bounds: dict[str, Bound] = field(default_factory=dict)
 
     @property
     def reach(self) -> float:
@@ -99,13 +111,50 @@ class DepthPlan:
         """
         if self.sheets:
             return self.sheets[layer]
+        shown = self._shown(layer)
+        if shown is None:
+            return content, self.layer == layer, self.confusion
+        return content.take(*shown), self.layer[shown] == layer, self.confusion[shown]
+
+    def _shown(self, layer):
+        """Rows and columns of the pixels that a layer of a picture shows, (2, rows, cols); None: each its own."""
         nearer = self.layer < layer
         if not nearer.any():
-            return content, self.layer == layer, self.confusion
-        rows, cols = scipy.ndimage.distance_transform_edt(
-            nearer, return_distances=False, return_indices=True
-        )
-        return content.take(rows, cols), self.layer[rows, cols] == layer, self.confusion[rows, cols]
+            return None
+        return tuple(nearest(nearer))
+
+    def in_brightness(self, brightness: Callable) -> list[Sheet]:
+        """Return the groups of layers in brightness, with radii that go on where nothing is covered.
+
+        Args:
+            brightness: Gives the brightness of a layer's content, None for the picture's, float
+                (rows, cols).
+        """
+        found: dict[int, Sheet] = {}
+        for layer, group in enumerate(self.groups):
+            sheet = self._in_brightness(layer, brightness)
+            if group in found:
+                other = found[group]
+                sheet = replace(
+                    other, light=other.light + sheet.light, alpha=other.alpha + sheet.alpha
+                )
+            found[group] = sheet
+        return list(found.values())
+
+    def _in_brightness(self, layer, brightness):
+        if self.sheets:
+            content, alpha, confusion = self.sheets[layer]
+            light, guessed = brightness(content), None
+        else:
+            light, shown, guessed = brightness(None), self._shown(layer), self.layer < layer
+            at = np.s_[:] if shown is None else shown
+            light, alpha, confusion = light[at], self.layer[at] == layer, self.confusion[at]
+        alpha = np.asarray(alpha, np.float64)
+        if not alpha.any():
+            confusion = np.zeros_like(confusion)
+        elif np.ptp(confusion) > 0 and not alpha.all():
+            confusion = confusion[tuple(nearest(alpha == 0))]
+        return Sheet(light * alpha, alpha, confusion / 2, guessed)
 
     def shares(self, coverage, confusion):
         """Kernels of a layer and each pixel's share in them: pairs (kernel, share float32 (rows, cols)).
@@ -128,6 +177,13 @@ class DepthPlan:
             share[some] = weight
             if share.any():
                 yield kernel, share
+
+
+def nearest(missing: np.ndarray) -> np.ndarray:
+    """Return rows and columns of the nearest pixel that is not missing, int (2, rows, cols)."""
+    return scipy.ndimage.distance_transform_edt(
+        missing, return_distances=False, return_indices=True
+    )
 
 
 def flatten(scene: Scene):
@@ -176,7 +232,10 @@ def plan_depth(
     tolerance = tolerance or TOLERANCE
     depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
     confusion = checked_confusion(optics, pitch, depth, light.shape)
-    sheets = _sheets(scene, optics, pitch) if scene is not None and scene.layers else ()
+    sheets: tuple = ()
+    groups: tuple[int, ...] = ()
+    if scene is not None and scene.layers:
+        sheets, groups = _group(_sheets(scene, optics, pitch))
     every = confusion
     if sheets:
         every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets])
@@ -207,12 +266,15 @@ def plan_depth(
     }
     distances = distance_of(optics, nodes, pitch)
     if sheets:
-        predicted["depth, in layers that are given"] = edges.given_error(light, power)
+        if inner := _inner_error(sheets, light, power):
+            predicted["depth, edges inside layers"] = inner
         predicted["depth, if without layers"] = plain
         layer = np.zeros(light.shape, np.uint8)
         count = len(sheets)
         model = f"{count} layers that are given; {span}"
-        return DepthPlan(distances, nodes, confusion, layer, count, model, predicted, sheets)
+        return DepthPlan(
+            distances, nodes, confusion, layer, count, model, predicted, sheets, groups
+        )
     cuts = edges.choose_cuts(low, high, tolerance**2 * power * light.size)
     in_layers = edges.layered_error(cuts, light, power)
     if layered is None:
@@ -229,7 +291,8 @@ def plan_depth(
         model = f"by depth, without layers; {span}"
         predicted["depth, occlusion left out"] = plain
         predicted["depth, if in layers"] = in_layers
-    return DepthPlan(distances, nodes, confusion, layer, count, model, predicted)
+    groups = tuple(range(count))
+    return DepthPlan(distances, nodes, confusion, layer, count, model, predicted, (), groups)
 
 
 def _sheets(scene, optics, pitch):
@@ -243,6 +306,37 @@ def _sheets(scene, optics, pitch):
         confusion = checked_confusion(optics, pitch, depth, shape)
         sheets.append((layer.content, np.asarray(layer.alpha), confusion))
     return tuple(sheets)
+
+
+def _inner_error(sheets, light, power):
+    """Relative error of the edges inside the layers that are given, which are not cut; by the light of the picture."""
+    square = 0.0
+    for _, alpha, confusion in sheets:
+        covered = np.asarray(alpha) > 0
+        if covered.any() and np.ptp(confusion[covered]) > 0:
+            own = confusion if covered.all() else confusion[tuple(nearest(~covered))]
+            square += Edges.of(own, light).plain_error(light, power) ** 2
+    return float(np.sqrt(square))
+
+
+def _group(sheets):
+    """Return layers whose coverage is that which nearer ones of their group leave, and the number of each one's group.
+
+    Blurs that stay within a sample are alike: laid over one another first, the layers hide each
+    other to the sample.
+    """
+    found, groups, through = [], [], 1.0
+    for content, alpha, confusion in sheets:
+        together = (
+            found
+            and np.abs(confusion - found[-1][2]).max() <= SAME
+            and np.abs(confusion).max() <= 2 * SHARP
+        )
+        groups.append(groups[-1] + (not together) if groups else 0)
+        through = through if together else 1.0
+        found.append((content, np.asarray(alpha * through, np.float32), confusion))
+        through = through * (1 - alpha)
+    return tuple(found), tuple(groups)
 
 
 def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:

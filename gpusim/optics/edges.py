@@ -7,6 +7,7 @@ import numpy as np
 
 MOST_LAYERS = 16
 JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
+REMAINS = 0.1  # of a covariance over the pupil, after it was summed
 STEP = 0.25  # [pixel] of circle of confusion between possible cuts of the picture
 
 
@@ -93,23 +94,17 @@ class Edges:
         guess = np.interp(lag, self.lags, self.variation) / pieces
         return guess * _edge("hidden", near, far)
 
-    def given_error(self, light, power):
-        """Return the relative error of layers that hide nothing unknown: `_layered_error` without the hidden part."""
-        near, far = self.near[self.jumps] / 2, self.far[self.jumps] / 2
-        left = np.hypot(near, far) * self._covariance(far) * _edge("covariance", near, far)
-        return float(np.sqrt(left.sum() / (power * light.size)))
-
     def _layered_error(self, some):
-        """Squared error of pairs in different layers: hidden surfaces are guessed, and the product is approximate.
+        """Squared error of pairs in different layers: hidden surfaces are guessed.
 
         The product of transmission and background is exact if one of the two is in focus; otherwise
-        their covariance over the pupil is left out.
+        their covariance over the pupil is summed, but for REMAINS of it.
         """
         near, far = self.near[some] / 2, self.far[some] / 2
         # a slope hides only its neighbourhood
         hidden = np.where(self.jumps[some], self._hidden_error(near, far), 0)
         covariance = self._covariance(far) * _edge("covariance", near, far)
-        return np.hypot(near, far) * (hidden + covariance)
+        return np.hypot(near, far) * (hidden + REMAINS**2 * covariance)
 
     def _covariance(self, radius):
         """Squared covariance of a background within a disc with half of the disc, over the variance of that half.

@@ -5,7 +5,7 @@ several are, both vary over the pupil together, and `optics.occlude` sums over i
 changes, from the variation of coverage and light within the blurs, finds the places that need it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,8 +15,11 @@ from gpusim.domain.pupil import Pupil
 
 FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
-COUNTS = (128, 256, 512, 1024, 2048, 4096)
+COUNTS = (128, 256, 512, 1024, 2048)
 MOST_CELLS = 4096
+USUAL = 0.999  # quantile of the light of a layer that is taken for its brightest
+BLOCK = 16  # [sample] of blocks whose brightest light is taken
+TOGETHER = 2**16  # places times points that are summed at once
 SAMPLED = 400  # places at which errors of the sum are measured
 
 
@@ -48,7 +51,10 @@ class Occlusion:
         points: y, x and share of points of the pupil, float32 (M, 3).
         error: Bound of the changes that are not computed, and error of the sum over points where they are [brightness],
             shape (rows, cols).
-        change: What the sum changes at the places that were tried, as a root mean square [brightness].
+        seen: Bound of what the sum changes where it is computed, scaled to the changes that were tried [brightness],
+            shape (rows, cols).
+        is_diffracted: Whether what diffraction in focus makes of products is computed, too.
+        sharp: Groups of layers whose blurs stay within their samples.
     """
 
     places: np.ndarray
@@ -56,7 +62,14 @@ class Occlusion:
     radii: np.ndarray
     points: np.ndarray
     error: np.ndarray
-    change: float = 0.0
+    seen: np.ndarray
+    is_diffracted: bool = False
+    sharp: tuple[int, ...] = ()
+
+    @property
+    def work(self) -> float:
+        """Multiplications and additions of one channel."""
+        return 12.0 * self.members.size * len(self.points)
 
     def within(self, margin: int, shape: tuple[int, int]) -> "tuple[np.ndarray, ...]":
         """Return places, members and radii in a frame of `shape` that begins `margin` samples inside."""
@@ -88,8 +101,8 @@ def is_open(pupil: Pupil, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     return found
 
 
-def pupil_cells(pupil: Pupil, radii: Sequence[float]) -> np.ndarray | None:
-    """Return the parts of the pupil through which the same samples are seen, one point each; None if there are too many.
+def pupil_cells(pupil: Pupil, radii: Iterable[float]) -> np.ndarray | None:
+    """Return the parts of the pupil through which the same samples are seen, one point each; None if too many.
 
     With them the sum over the pupil is exact for samples that are even over their cells and blurs of these radii. A
     part is a rectangle between the places where a ray passes from one sample to the next.
@@ -131,7 +144,9 @@ def find_occlusion(
     places = np.argwhere(change > least).astype(np.int32)
     error = np.where(change > least, 0, change)
     if not len(places):
-        return Occlusion(*_nothing(), error)
+        nowhere, empty = np.empty((0, 2), np.int32), np.empty((0, 0), np.int32)
+        points = np.empty((0, 3), np.float32)
+        return Occlusion(nowhere, empty, empty.astype(np.float32), points, error, np.zeros(shape))
     members = _members(taking_part, places)
     kinds = np.maximum(members, 0)
     radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
@@ -158,20 +173,42 @@ def find_occlusion(
         for count in COUNTS[:-1]:
             fewer = pupil_points(pupil, count)
             wrong = _size(values(fewer) - changed)
-            if wrong <= least:
+            if wrong <= 2 * least:
                 points, numeric = fewer, wrong
                 break
     error[places[:, 0], places[:, 1]] = numeric
-    return Occlusion(places, members, radii, points.astype(np.float32), error, _size(changed))
+    seen = np.where(change > least, change, 0)
+    bound = _size(change[tried[0][:, 0], tried[0][:, 1]])
+    seen *= _size(changed) / bound
+    return Occlusion(places, members, radii, points.astype(np.float32), error, seen)
+
+
+def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:
+    """Return a bound of the error of surfaces that are guessed, brightness (rows, cols).
+
+    The share of guessed light that a pixel sees, times what the light there may be instead: any
+    that the layer shows elsewhere.
+    """
+    error, through = np.zeros(sheets[0].alpha.shape), np.ones(sheets[0].alpha.shape)
+    for sheet in sheets:
+        reach = int(np.ceil(np.abs(sheet.radius).max()))
+        cover, share = sheet.alpha, np.zeros(sheet.alpha.shape)
+        if reach:
+            cover = scipy.ndimage.uniform_filter(cover, 2 * reach + 1, mode="nearest")
+        if sheet.guessed is not None and sheet.guessed.any():
+            shown = (sheet.alpha > 0) & ~sheet.guessed
+            seen = sheet.light[shown] if shown.any() else sheet.light
+            low, high = np.quantile(seen, [1 - USUAL, USUAL])
+            other = np.maximum(high - sheet.light, sheet.light - low) * sheet.alpha * sheet.guessed
+            # light may come from anywhere within the blur
+            share = scipy.ndimage.uniform_filter(other, 2 * reach + 1, mode="nearest")
+        error = error + through * share
+        through = through * (1 - cover)
+    return error
 
 
 def _size(values):
     return float(np.sqrt(np.mean(np.square(values)))) if values.size else 0.0
-
-
-def _nothing():
-    empty = np.empty((0, 0), np.int32)
-    return np.empty((0, 2), np.int32), empty, empty.astype(np.float32), np.empty((0, 3), np.float32)
 
 
 def _members(taking_part, places):
@@ -199,11 +236,11 @@ def _bounds(sheets, pupil):
         sharp = np.abs(sheet.radius) <= SHARP
         varies = np.where(sharp, 0, widen * _deviation(sheet.alpha, reach))
         light_varies = np.where(sharp, 0, widen * _deviation(sheet.light, reach))
-        clear = 1 - _around(scipy.ndimage.minimum_filter, sheet.alpha, reach)
+        clear = np.where(sharp | (varies == 0), 1 - sheet.alpha, 1)
         error = clear * error + varies * deviation
         deviation = light_varies + clear * deviation + varies * brightest
         own = np.divide(sheet.light, sheet.alpha, where=sheet.alpha > 0, out=0 * sheet.light)
-        brightest = np.maximum(brightest, _around(scipy.ndimage.maximum_filter, own, reach))
+        brightest = np.maximum(brightest, _brightest(own, reach))
         parts.append(((sheet.alpha > 0) | (varies > 0), clear == 0))
     for there, opaque in reversed(parts):
         taking_part.append(there & ~covered)
@@ -211,9 +248,14 @@ def _bounds(sheets, pupil):
     return error, np.stack(taking_part)
 
 
-def _around(filter_, values, reach):
-    """A filter over the square of 2 reach + 1 samples around each sample."""
-    return filter_(np.asarray(values, np.float64), size=2 * reach + 1, mode="nearest")
+def _brightest(values, reach):
+    """The most of the values in a square around each sample, or more: of whole blocks."""
+    side = max(reach, BLOCK)
+    down, across = (np.arange(0, n, side) for n in values.shape)
+    most = np.maximum.reduceat(np.maximum.reduceat(values, down, axis=0), across, axis=1)
+    most = scipy.ndimage.maximum_filter(most, size=3, mode="nearest")
+    rows, cols = (np.arange(n) // side for n in values.shape)
+    return most[np.ix_(rows, cols)]
 
 
 def _deviation(values, reach):
@@ -234,24 +276,28 @@ def covariance(lights, alphas, places, members, radii, points, border):
     Inputs as of `optics.occlude`. Only the choice of the sample that a point sees is made in float32, as on devices: a
     half may round either way.
     """
-    members, radii = np.asarray(members), np.asarray(radii, np.float32)
-    lights, alphas = np.asarray(lights), np.asarray(alphas)
-    there, kinds = members >= 0, np.maximum(members, 0)
-    count, (rows, cols) = places.shape[0], alphas.shape[1:]
-    exact = np.zeros((lights.shape[1], count))
-    mean_light = np.zeros((len(members), *exact.shape))
+    lights, alphas, members = np.asarray(lights), np.asarray(alphas), np.asarray(members)
+    radii, points = np.asarray(radii, np.float32), np.asarray(points, np.float32)
+    there, kinds = (members >= 0)[..., None], np.maximum(members, 0)[..., None]
+    (count, _), channels, (rows, cols) = places.shape, lights.shape[1], alphas.shape[1:]
+    exact = np.zeros((channels, count))
+    mean_light = np.zeros((len(members), channels, count))
     mean_alpha = np.zeros((len(members), count))
-    for v, u, share in np.asarray(points, np.float32):
-        through = np.ones(count)
-        for s, (k, radius) in enumerate(zip(kinds, radii, strict=True)):
-            y, dark_y = _sample(places[:, 0] + np.floor(radius * v + np.float32(0.5)), rows, border)
-            x, dark_x = _sample(places[:, 1] + np.floor(radius * u + np.float32(0.5)), cols, border)
-            alpha = alphas[k, y, x] * there[s]
-            light = lights[k, :, y, x].T.astype(np.float64) * (there[s] & ~dark_y & ~dark_x)
-            exact += float(share) * through * light
+    size = max(TOGETHER // max(count, 1), 1)
+    for some in (points[n : n + size] for n in range(0, len(points), size)):
+        v, u, share = some[:, 0], some[:, 1], some[:, 2].astype(np.float64)
+        through = np.ones((count, len(some)))
+        for s, radius in enumerate(radii[..., None]):
+            down, across = (np.floor(radius * one + np.float32(0.5)) for one in (v, u))
+            y, dark_y = _sample(places[:, :1] + down, rows, border)
+            x, dark_x = _sample(places[:, 1:] + across, cols, border)
+            alpha = alphas[kinds[s], y, x] * there[s]
+            for c in range(channels):
+                light = lights[kinds[s], c, y, x] * (there[s] & ~dark_y & ~dark_x)
+                exact[c] += (through * light) @ share
+                mean_light[s, c] += light @ share
             through *= 1.0 - alpha
-            mean_light[s] += float(share) * light
-            mean_alpha[s] += float(share) * alpha
+            mean_alpha[s] += alpha @ share
     before = np.cumprod(np.concatenate([np.ones((1, count)), 1 - mean_alpha[:-1]]), axis=0)
     return exact - (before[:, None] * mean_light).sum(axis=0)
 

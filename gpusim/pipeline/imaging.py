@@ -21,6 +21,7 @@ from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.far import far
 from gpusim.kernels.optics.field import field, transfer
+from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
@@ -328,6 +329,9 @@ class _Steps:
                 nbytes += self._bytes_of_varying(
                     self.varying.bytes_of_tiles(self.channels)
                 ) + 4 * self.channels * self.samples * len(self.depth.kernels)
+            if self.depth.occlusion is not None:
+                nbytes += 4 * (self.channels + 1) * self.depth.layers * self.samples
+                work += self.channels * self.depth.occlusion.work
             chain.add(
                 "optics.composite",
                 {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
@@ -914,7 +918,7 @@ def composite_layers(
         placing = _Placing(places, lights, zoom, plan.content.shape, border, beyond, device)
         picture = flatten(plan.scene)[0] if depth.sheets else None
         seen = planes_ if picture is None else planes(device, table, store(device, picture))
-    alphas, layers, blurred = [], [], []
+    alphas, layers, blurred, sharp = [], [], [], []
     for layer in range(depth.layers):
         content, coverage, confusion = depth.sheet(layer, plan.content)
         own = planes_
@@ -969,8 +973,131 @@ def composite_layers(
                 alpha = falloff(alpha, gain, device=device)
             blurred.append(blurred_light)
             alphas.append(alpha)
-            layers.append(layer)
-    return composite(device.stack(blurred), device.stack(alphas), layers, device=device)
+            layers.append(depth.groups[layer])
+            sharp.append(sharpen(light, cover, plan, device))
+    composed = composite(device.stack(blurred), device.stack(alphas), layers, device=device)
+    if depth.occlusion is None:
+        return composed
+    groups = _Groups(blurred, alphas, sharp, layers, plan, border, device)
+    return groups.occlude(groups.diffract(composed, tables), tables)
+
+
+def sharpen(light, cover, plan: Plan, device) -> Any:
+    """Return planes as channels without blur, and their coverage; None if no light is summed over the pupil."""
+    depth, form, fusion = plan.find(DepthPlan), plan.find(Blur), plan.find(Fusion)
+    assert depth is not None and form is not None
+    if depth.occlusion is None:
+        return None
+    flat = plan.flat if fusion is None else fusion.transfers @ plan.flat
+    return integrate(light, (form.mix * flat).astype(np.float32), device=device), cover
+
+
+class _Groups:
+    """Layers that are composed, blurred and sharp: sums of their parts. See `composite_layers`."""
+
+    def __init__(self, lights, alphas, sharp, layers, plan, border, device):
+        self._plan, self._border, self._device = plan, border, device
+        self._depth, form = plan.find(DepthPlan), plan.find(Blur)
+        self._margin, self._period = plan.scene.margin - form.spare, form.period
+        self._count = layers[-1] + 1
+
+        def sums(arrays):
+            return [
+                _sum([one for one, its in zip(arrays, layers, strict=True) if its == group], device)
+                for group in range(self._count)
+            ]
+
+        self._blurred = list(zip(sums(lights), sums(alphas), strict=True))
+        covers = sums([cover for _, cover in sharp])
+        self._sharp = list(zip(sums([light for light, _ in sharp]), covers, strict=True))
+
+    def occlude(self, composed, tables):
+        """Return composed channels with the sum over the pupil where several layers are out of focus.
+
+        Its change is of rays, and is blurred by diffraction.
+        """
+        found, device = self._depth.occlusion, self._device
+        places, members, radii = found.within(self._margin, composed.shape[1:])
+        if not len(places):
+            return composed
+        changed = occlude(
+            composed,
+            device.stack([light for light, _ in self._sharp]),
+            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
+            places,
+            members,
+            radii,
+            found.points,
+            self._border,
+            margin=self._margin,
+            device=device,
+        )
+        _, smooth = tables.in_focus(self._plan)
+        change = self._spread(_mix([(1, changed), (-1, composed)], device), smooth)
+        return _mix([(1, composed), (1, change)], device)
+
+    def diffract(self, composed, tables):
+        """Return composed channels with what diffraction in focus blurs of products, not of their factors.
+
+        With K that blur, a the coverage of a layer and L the light behind it, K ((1 - a) L) is added
+        and (1 - K a) K L taken away.
+        """
+        found, device = self._depth.occlusion, self._device
+        if not found.is_diffracted:
+            return composed
+        sampled, smooth = tables.in_focus(self._plan)
+        is_sharp, behind, more = False, None, None
+        for group in range(self._count - 1, -1, -1):
+            light, alpha = self._blurred[group]
+            cover = alpha
+            if group in found.sharp:
+                shape = composed.shape[1:]
+                light, alpha = (self._crop(one, shape) for one in self._sharp[group])
+                is_sharp = True
+            if behind is not None:
+                table = sampled if is_sharp else smooth
+                hidden = falloff(behind, alpha, device=device)
+                product = falloff(
+                    self._spread(behind, table), self._spread(alpha, table), device=device
+                )
+                change = [(-1, self._spread(hidden, table)), (1, product)]
+                if more is not None:
+                    change += [(1, more), (-1, falloff(more, cover, device=device))]
+                more = _mix(change, device)
+                light = _mix([(1, light), (1, behind), (-1, hidden)], device)
+            behind = light
+        return _mix([(1, composed), (1, more)], device)
+
+    def _spread(self, fields, table):
+        """Return fields, one of each channel or one of all, blurred in focus."""
+        channels, one = table.shape[0], fields.shape[0] == 1
+        if not one:
+            table = self._device.reshape(table, (1, channels, *table.shape[2:]))
+        mix = np.ones((channels, 1), np.float32) if one else np.eye(channels, dtype=np.float32)
+        return blur(fields, table, mix, "edge", self._period, device=self._device)
+
+    def _crop(self, planes_, shape):
+        """Return planes in the frame of the blurred ones; samples beyond them go on at the edge."""
+        starts = [
+            np.clip(self._margin + np.arange(size), 0, whole - 1).astype(np.int32)
+            for size, whole in zip(shape, planes_.shape[1:], strict=True)
+        ]
+        weights = [np.ones((size, 1), np.float32) for size in shape]
+        return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=self._device)
+
+
+def _sum(arrays, device):
+    """Return the sum of arrays (planes, rows, cols)."""
+    return _mix([(1, one) for one in arrays], device) if len(arrays) > 1 else arrays[0]
+
+
+def _mix(terms, device):
+    """Return the sum of arrays (planes, rows, cols) times numbers: pairs (number, array)."""
+    numbers, arrays = zip(*terms, strict=True)
+    count, rows, cols = arrays[0].shape
+    every = device.reshape(device.stack(arrays), (len(arrays), count * rows, cols))
+    mixed = integrate(every, np.array([numbers], np.float32), device=device)
+    return device.reshape(mixed, (count, rows, cols))
 
 
 class _Placing:

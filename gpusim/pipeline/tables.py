@@ -160,6 +160,13 @@ class LensTables:
             return tables_at_distance(*made_of)
         return self._cache(f"transfer at {kernel}", tables_at_distance, *made_of)
 
+    def in_focus(self, plan: Plan) -> tuple:
+        """Return tables of white in the channels in focus, (C, 1, ...): with samples, and of diffraction only."""
+        blur = plan.find(Blur)
+        assert blur is not None
+        made_of = self._made_of(plan), blur.period, plan.weights, plan.flat, self.device
+        return self._cache("transfer in focus", tables_in_focus, *made_of)
+
     def deviation(self, plan: Plan) -> float:
         """Return the deviation [pixel] of the Gaussian that equals the lens on its axis at 1/4 cycle per pixel."""
         if plan.find(Blur) is None:
@@ -248,6 +255,26 @@ def tables_at_distance(made_of, period, transfers, distance, white, flat, device
     cover = integrate(bands, device.array(white / flat), device=device)
     cover = device.reshape(cover, (len(white), 1, *bands.shape[1:]))
     return combine_bands(bands, transfers, device), cover
+
+
+def tables_in_focus(made_of, period, weights, flat, device) -> tuple:
+    """Return tables of white in the channels: see `LensTables.in_focus`.
+
+    Diffraction only is of a circle, at each channel's mean wavelength: it blurs light that is
+    smooth.
+    """
+    white = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
+    flat = np.broadcast_to(flat, white.shape[1:])
+    bands = bands_of(made_of, period, device)
+    cover = integrate(bands, device.array((white / flat).astype(np.float32)), device=device)
+    rows, cols = period
+    f = np.hypot(np.arange(rows // 2 + 1)[:, None] / rows, np.arange(cols // 2 + 1) / cols)
+    s = np.minimum(f * (white @ made_of[-1])[:, None, None], 1)
+    only = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    return (
+        device.reshape(cover, (len(white), 1, *bands.shape[1:])),
+        device.array(only[:, None].astype(np.float32)),
+    )
 
 
 def fit_gaussian(optics, pixel_pitch, aperture, q, light) -> float:

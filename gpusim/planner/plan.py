@@ -189,6 +189,7 @@ class Plan:
             grid and grid.nodes,
             varying and (varying.kernels, varying.edges),
             depth and (depth.distances, depth.kernels, depth.confusion),
+            depth and depth.occlusion and (depth.occlusion.radii, depth.occlusion.points),
         )
         choices = (
             *((blur.folded, blur.spare, blur.period) if blur else (False, 0, self.content.shape)),
@@ -198,6 +199,8 @@ class Plan:
             grid and (grid.method, grid.is_even),
             varying and (varying.method, varying.index),
             depth and (depth.layers, depth.layer),
+            depth and depth.groups,
+            depth and depth.occlusion and (depth.occlusion.places, depth.occlusion.is_diffracted),
         )
         kind = scene.content.shape, scene.border, scene.margin, float(scene.samples_per_pixel)
         return digest(

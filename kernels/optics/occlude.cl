@@ -55,6 +55,7 @@ __kernel void occlude(
         float through = 1.0f;
 #pragma unroll
         for (int s = 0; s < SHEETS; ++s) {
+            if (there[s] == 0.0f) continue;
             const int i = y + (int)floor(radius[s] * v + 0.5f), j = x + (int)floor(radius[s] * u + 0.5f);
             const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
             float own = there[s] * lights[light[s] + at];

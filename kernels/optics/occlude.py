@@ -79,7 +79,7 @@ def operations(base, lights, alphas, places, members, radii, points, border, mar
 
 
 def cases():
-    """Yield cases: one place, several layers, gaps among the members, every border, a margin, wide and flipped blurs."""
+    """Yield cases: one place, several layers, gaps among members, every border, a margin, both sides of the focus."""
     random = np.random.default_rng(35)
     why = (
         "the places of the samples are rounded alike; each of M shares, products and sums of positive terms rounds by "

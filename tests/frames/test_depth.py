@@ -15,14 +15,17 @@ from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.optics import Optics
+from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Layer, Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
 from gpusim.io.scene.npz import read_npz, write_npz
 from gpusim.judge.hard.truth import relative
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
+from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.optics.depth import DepthPlan, circle_of_confusion, distance_of, plan_depth
+from gpusim.optics.occlusion import find_occlusion
 from gpusim.pipeline.simulator import Simulator
 
 PITCH = 2e-6
@@ -118,7 +121,7 @@ def laid(sheets, device="numpy"):
 
 
 def executed(made, light):
-    """A picture blurred as a DepthPlan says, by even discs, float64."""
+    """A picture blurred as a DepthPlan says, by even discs, float64, and summed over the pupil between layers."""
     rows = np.indices(light.shape)
     lights, alphas, layers = [], [], []
     for layer in range(made.layers):
@@ -129,9 +132,16 @@ def executed(made, light):
             lights.append(spread(own * share, made.kernels[kernel]))
             alphas.append(spread(share, made.kernels[kernel]))
             layers.append(layer)
-    return composite(np.array(lights)[:, None], np.array(alphas)[:, None], layers, device="numpy")[
-        0
-    ]
+    composed = composite(
+        np.array(lights)[:, None], np.array(alphas)[:, None], layers, device="numpy"
+    )
+    if made.layers == 1:
+        return composed[0]
+    sheets = made.in_brightness(lambda content: light)
+    found = find_occlusion(sheets, Pupil(), "edge", 1e-4)
+    sharp = [np.array([getattr(one, name) for one in sheets]) for name in ("light", "alpha")]
+    chosen = found.places, found.members, found.radii, found.points
+    return occlude(composed, sharp[0][:, None], sharp[1], *chosen, "edge", device="numpy")[0]
 
 
 def edge_scene():

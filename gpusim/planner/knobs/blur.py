@@ -1,6 +1,7 @@
 """Blur: its form, whether it is left out or follows the distance of objects, and doubts about its prediction."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from scipy.fft import dctn, idctn
@@ -8,9 +9,10 @@ from scipy.ndimage import gaussian_filter
 
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
-from gpusim.optics.depth import DepthPlan, plan_depth
+from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import SAMPLED_PERIOD
+from gpusim.optics.occlusion import SHARP, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.probes import RIM, SIDE, Probes
@@ -29,6 +31,15 @@ ENDINGS = {
     "optics.blur": "",
     "optics.tiles": ", by tiles",
 }
+LEAST = 0.5  # of the tolerance: changes by the sum over the pupil that are not computed
+MOST_LEAST = 1e-2  # and of the light
+DIFFRACTED = (
+    1.0  # share of what the sum over the pupil changes: rays take part of a wave out of focus
+)
+NEGLIGIBLE = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
+LEFT = 0.15  # of it, after it was computed
+HIDDEN = "depth, in layers (hidden parts are continued)"
+NEAR = 4.0  # [sample] over which noise is taken from the light
 OTHERS = "depth, if "  # begins the names of errors of alternatives
 
 
@@ -135,38 +146,92 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
                 f"{distance:.4g} m with the focus at {optics.object_distance:.4g} m",
                 f"nearer to the focus, or a smaller aperture: {error}",
             ) from None
-    if made.sheets:
-        made.predicted["depth, light behind the edges of layers"] = _behind_edges(question, made)
-    return made
+    return made if made.layers < 2 else _with_occlusion(question, made, probes, notes)
 
 
-def _behind_edges(question, depth):
-    """Relative RMS error of a product: blurred light behind a layer times the layer's blurred transmission.
+def _with_occlusion(question, depth, probes, notes):
+    """Return the plan with the places at which layers are summed over the pupil, and with the errors that are left."""
+    picture = question.facts.brightness(question.light).astype(np.float64)
+    size = float(np.sqrt(np.mean(picture**2)))
+    if not size > 0:
+        return depth
 
-    Exact is the blur of their product. The two differ by the covariance of light and coverage
-    within the kernel of a circular pupil and the pixel, at the mean wavelength in a mirrored world.
-    First each is blurred for its own distance by a disc of diameter c, approximated by a Gaussian
-    of standard deviation c / 4.
+    def brightness(content):
+        if content is None:
+            return picture
+        return content.on_host().brightness(question.light).astype(np.float64)
+
+    sheets = depth.in_brightness(brightness)
+    least = LEAST * min(question.limit or TOLERANCE, MOST_LEAST) * size
+    border = question.scene.border
+    found = find_occlusion(
+        sheets, question.optics.pupil, "edge" if border == "scene" else border, least
+    )
+    known = probes() if question.tolerance is not None else None
+    wrong, tolerance = _behind_edges(question, sheets), question.tolerance
+    bound = _located(question, wrong, picture, known)
+    if tolerance is None or bound.ratio(tolerance) > NEGLIGIBLE:
+        sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
+        found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
+        wrong = LEFT * wrong
+    wrong = np.hypot(found.error, wrong)
+    bounds = {"depth, light behind the edges of layers": _located(question, wrong, picture, known)}
+    if len(found.places):
+        notes.leave_out(
+            "diffraction at the edges of objects out of focus: rays are cut there",
+            _located(question, found.seen * DIFFRACTED, picture, known),
+            "depth, diffraction at edges",
+            of_scene=True,
+        )
+    if not depth.sheets:
+        rms = depth.predicted.pop(HIDDEN)
+        bound = _located(question, hidden_light(sheets), picture, known)
+        bounds[HIDDEN] = replace(bound, rms=rms)
+    return replace(depth, occlusion=found, bounds=bounds)
+
+
+def _behind_edges(question, sheets):
+    """Error of a product of what diffraction in focus and the samples blur together, brightness (rows, cols).
+
+    Exact is the blur of the product of light and transmission. The two differ by the covariance
+    within the kernel of a circular pupil in focus, at the mean wavelength in a mirrored world.
+    First each is blurred for its own distance, a disc of diameter c by a Gaussian of standard
+    deviation c / 4.
     """
     # of the cosines of a mirrored world
     fy, fx = (np.arange(n)[:, None] / (2 * n) for n in question.size)
     s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
     seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
-    seen *= np.sinc(fy * question.cell[0])
-    seen *= np.sinc(fx.T * question.cell[1])
-    light, own, wrong = None, 0.0, 0.0
-    for content, alpha, confusion in reversed(depth.sheets):
-        front = content.on_host().brightness(question.light).astype(np.float64)
-        width = np.abs(confusion).mean() / 4
-        if light is not None:
-            cover = gaussian_filter(np.asarray(alpha, np.float64), width)
-            behind = gaussian_filter(light, own)
-            apart = [idctn(dctn(one) * seen) for one in (cover * behind, cover, behind)]
-            wrong += float(np.mean((apart[0] - apart[1] * apart[2]) ** 2))
-        light = front if light is None else alpha * front + (1 - alpha) * light
-        own = width
-    size = float(np.mean(light**2))
-    return (wrong / size) ** 0.5 if size > 0 else 0.0
+    # samples in focus are even over their cells; out of focus the sum over the pupil has the cells
+    cells = np.sinc(fy * question.cell[0]) * np.sinc(fx.T * question.cell[1])
+    light, square, is_sharp = None, 0.0, False
+    for sheet in reversed(sheets):
+        width = float(np.abs(sheet.radius).mean()) / 2
+        front, cover = gaussian_filter(sheet.light, width), gaussian_filter(sheet.alpha, width)
+        is_sharp |= bool(np.abs(sheet.radius).min() <= SHARP)
+        if light is not None and np.ptp(cover) > 0:
+            passed = seen * cells if is_sharp else seen
+            apart = [idctn(dctn(one) * passed) for one in (cover * light, cover, light)]
+            square = square + (apart[0] - apart[1] * apart[2]) ** 2
+        light = front if light is None else front + (1 - cover) * light
+    return np.sqrt(np.broadcast_to(square, question.size))
+
+
+def _located(question, error, light, probes):
+    """Return the bound of an error of the brightness at each sample, (rows, cols).
+
+    light: brightness without blur. The channel with the largest part of the light has the largest
+    error in noise sigmas.
+    """
+    rms = float(np.sqrt(np.mean(error**2) / np.mean(light**2)))
+    if probes is None:
+        return Bound(rms)
+    part = question.weights.sum(axis=1)
+    part = probes.seconds * float(part.max() / part.sum())
+    # light may come from anywhere within the blur
+    level = np.maximum(gaussian_filter(light, NEAR), 0)
+    sigma = part * error / np.sqrt(np.maximum(part * level + probes.noise, 1))
+    return Bound(rms, float(np.quantile(sigma, 0.999)), float(sigma.max()))
 
 
 def _one_distance(question, probes):
@@ -200,9 +265,10 @@ def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound
     if depth is None:
         return {}
     local = Bound if probes is None else probes.local
-    return {
+    named = {
         name: local(error) for name, error in depth.predicted.items() if not name.startswith(OTHERS)
     }
+    return named | depth.bounds
 
 
 def describe_depth(depth: DepthPlan | None, varying: FieldBlur | None, notes: Notes):
@@ -216,10 +282,9 @@ def describe_depth(depth: DepthPlan | None, varying: FieldBlur | None, notes: No
         name: error for name, error in depth.predicted.items() if name.startswith(OTHERS)
     }
     if depth.layers > 1 and not depth.sheets:
-        name = next(name for name in depth.predicted if name.startswith("depth, in layers"))
         notes.leave_out(
             "surfaces hidden by nearer objects: one picture does not show them; the picture next to them is "
             "continued there",
-            notes.bounds.get(name) or Bound(depth.predicted[name]),
-            name,
+            notes.bounds.get(HIDDEN) or depth.bounds.get(HIDDEN) or Bound(),
+            HIDDEN,
         )
