@@ -217,6 +217,21 @@ def view_nodes(
     return nodes
 
 
+def places_of(nodes: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, ...]:
+    """Return rows and columns of the source of every sample of a frame, and its flux factor, each of `shape`.
+
+    Args:
+        nodes: As of a DistortionGrid, (ny, nx, 3).
+        shape: Rows and columns of the frame [sample].
+    """
+    along_y, along_x = (
+        lagrange_weights(count, (np.arange(n) + 0.5) / n)
+        for count, n in zip(nodes.shape[:2], shape, strict=True)
+    )
+    down, across, flux = (along_y @ nodes[..., part] @ along_x.T for part in range(3))
+    return down + np.arange(shape[0])[:, None], across + np.arange(shape[1]), flux
+
+
 def lagrange_weights(count: int, places: np.ndarray) -> np.ndarray:
     """Return the weight of each of `count` nodes at places, shape (places, count).
 

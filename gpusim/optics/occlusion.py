@@ -7,6 +7,7 @@ changes, from the variation of coverage and light within the blurs, finds the pl
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import scipy
@@ -38,6 +39,31 @@ class Sheet:
     alpha: np.ndarray
     radius: np.ndarray
     guessed: np.ndarray | None = None
+
+    def at(self, rows: np.ndarray, cols: np.ndarray, flux: np.ndarray, border: str) -> "Sheet":
+        """Return the layer where a lens or a view puts it.
+
+        Args:
+            rows: Row of the source of each place, shape (rows, cols).
+            cols: Its column, the same shape.
+            flux: Factor of its light, the same shape.
+            border: "zero", "edge" or "reflect"; a coverage goes on in the dark.
+        """
+        mode = "reflect" if border == "reflect" else "nearest"
+        find = partial(scipy.ndimage.map_coordinates, coordinates=(rows, cols), mode=mode)
+        light = find(np.asarray(self.light, np.float64), order=1) * flux
+        if border == "zero":
+            (high, wide), edge = self.light.shape, 0.5
+            light = light * (
+                (rows > -edge) & (rows < high - edge) & (cols > -edge) & (cols < wide - edge)
+            )
+        radius = np.asarray(self.radius, np.float64)
+        return Sheet(
+            light,
+            find(np.asarray(self.alpha, np.float64), order=1),
+            find(radius, order=0) if radius.ndim else radius,
+            None if self.guessed is None else find(self.guessed.astype(np.float64), order=0) > 0.5,
+        )
 
 
 @dataclass(frozen=True, eq=False)

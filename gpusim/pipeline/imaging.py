@@ -323,7 +323,9 @@ class _Steps:
                     * (prod(self.transfers.shape[:2]) + self.channels)
                     * len(self.depth.kernels)
                 )
-            placed = [f"{self.prefix}{name}" for name in ("places", "lights", "zoom")]
+            is_even = self.grid is not None and self.grid.method == "area" and self.grid.is_even
+            names = ("places", "lights", "zoom", "evening" if is_even else "")
+            placed = [name and f"{self.prefix}{name}" for name in names if plan.is_placed]
             work = float(per_layer * self.channels * self.samples)
             if self.varying is not None:
                 nbytes += self._bytes_of_varying(
@@ -335,7 +337,7 @@ class _Steps:
             chain.add(
                 "optics.composite",
                 {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
-                *(placed if plan.is_placed else ("", "", "")),
+                *(placed or [""] * len(names)),
                 self._add_field_tables(chain) if self.varying is not None else "",
                 run=composite_layers,
                 words=self.words("optics.composite"),
@@ -897,7 +899,7 @@ def as_one_plane(rates, *, device) -> Any:
 
 
 def composite_layers(
-    planes_, places, lights, zoom, varying, *, plan: Plan, tables: LensTables, border, device
+    planes_, places, lights, zoom, gains, varying, *, plan: Plan, tables: LensTables, border, device
 ) -> Any:
     """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
 
@@ -905,7 +907,7 @@ def composite_layers(
     continue outside the frame even if no light comes from there. The lens and a view displace the part of a layer
     that each kernel blurs, and its coverage; so distances are never interpolated.
 
-    places: see `place_layers`; None: nothing is displaced. lights, zoom: see `place_planes`. varying: see
+    places: see `place_layers`; None: nothing is displaced. lights, zoom, gains: see `place_planes`. varying: see
     `make_depth_field_tables`; None: the blur is the same all over the field.
     """
     depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
@@ -915,7 +917,7 @@ def composite_layers(
     beyond = "edge" if border == "zero" else border  # of coverage
     eye, placing = np.eye(channels, dtype=np.float32), None
     if places is not None:
-        placing = _Placing(places, lights, zoom, plan.content.shape, border, beyond, device)
+        placing = _Placing(places, lights, zoom, gains, plan.content.shape, border, beyond, device)
         picture = flatten(plan.scene)[0] if depth.sheets else None
         seen = planes_ if picture is None else planes(device, table, store(device, picture))
     alphas, layers, blurred, sharp = [], [], [], []
@@ -1103,8 +1105,9 @@ def _mix(terms, device):
 class _Placing:
     """Displaces parts of layers and their coverage. See `composite_layers`."""
 
-    def __init__(self, places, lights, zoom, shape, border, beyond, device):
-        self._places, self._lights, self._density = places, lights, zoom**2
+    def __init__(self, places, lights, zoom, gains, shape, border, beyond, device):
+        self._places, self._lights = places, lights
+        self._evening, self._density = gains, 1.0 if gains is not None else zoom**2
         self._shape, self._border, self._beyond, self._device = shape, border, beyond, device
         self._limits = self._gain = None
         if lights is None:  # by area: what covers all remains 1
@@ -1133,6 +1136,8 @@ class _Placing:
             light = distort(
                 light, of_light, shape, self._border, "area", self._density, device=device
             )
+            if self._evening is not None:
+                light = falloff(light, self._evening, device=device)
             cover = distort(cover, of_cover, shape, self._beyond, "area", device=device)
             return light, falloff(cover, self._gain, device=device)
         limits = self._limits

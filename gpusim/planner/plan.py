@@ -406,7 +406,7 @@ def plan(
     if not scene.view.is_plain:
         pixels.note_view(question, told(), notes)
     placed = pixels.plan_distortion(question, told, notes)
-    by_depth = blur.by_depth(question, told, notes)
+    by_depth = blur.by_depth(question, told, placed, notes)
     fixed = rounding_of(question, probes, single)
     seen = (
         _seen(question, picture, probes, operation, by_depth, fixed, notes)

@@ -12,6 +12,7 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import SAMPLED_PERIOD
+from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.occlusion import SHARP, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
@@ -119,11 +120,16 @@ def doubt_of(question: Question) -> str:
     return WIDE_DOUBT if question.q.max() > WIDEST_Q else ""
 
 
-def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> DepthPlan | None:
+def by_depth(
+    question: Question,
+    probes: Callable[[], Probes],
+    placed: DistortionGrid | None,
+    notes: Notes,
+) -> DepthPlan | None:
     """Return the plan of a blur that follows distance; None if it is the same at all distances.
 
-    `notes` then gives the reason and the error. probes: gives the scene's. Raises BadData,
-    OutOfRange.
+    `notes` then gives the reason and the error. probes: gives the scene's. placed: the lens's
+    distortion. Raises BadData, OutOfRange.
     """
     optics, facts, scene = question.optics, question.facts, question.scene
     if facts.depth is None:
@@ -146,10 +152,10 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
                 f"{distance:.4g} m with the focus at {optics.object_distance:.4g} m",
                 f"nearer to the focus, or a smaller aperture: {error}",
             ) from None
-    return made if made.layers < 2 else _with_occlusion(question, made, probes, notes)
+    return made if made.layers < 2 else _with_occlusion(question, made, probes, placed, notes)
 
 
-def _with_occlusion(question, depth, probes, notes):
+def _with_occlusion(question, depth, probes, placed, notes):
     """Return the plan with the places at which layers are summed over the pupil, and with the errors that are left."""
     picture = question.facts.brightness(question.light).astype(np.float64)
     size = float(np.sqrt(np.mean(picture**2)))
@@ -163,10 +169,13 @@ def _with_occlusion(question, depth, probes, notes):
 
     sheets = depth.in_brightness(brightness)
     least = LEAST * min(question.limit or TOLERANCE, MOST_LEAST) * size
-    border = question.scene.border
-    found = find_occlusion(
-        sheets, question.optics.pupil, "edge" if border == "scene" else border, least
-    )
+    scene = question.scene
+    border = "edge" if scene.border == "scene" else scene.border
+    if placed is not None or not scene.view.is_plain:
+        nodes = view_nodes(scene.view, placed, question.size, scene.content.shape, question.ratio)
+        places = places_of(nodes, question.size)
+        sheets = [sheet.at(*places, border) for sheet in sheets]
+    found = find_occlusion(sheets, question.optics.pupil, border, least)
     known = probes() if question.tolerance is not None else None
     wrong, tolerance = _behind_edges(question, sheets), question.tolerance
     bound = _located(question, wrong, picture, known)
