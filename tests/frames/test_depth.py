@@ -320,7 +320,7 @@ def two_layers(alpha=None):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_layers_that_a_scene_gives(device):
-    """Electrons of a scene of two layers, against sums of blurred bands in float64 by other means: product, covariance."""
+    """Electrons of a scene of two layers, against blurred bands in float64: product and covariance."""
     scene, cam = two_layers(), camera()
     simulator = Simulator(cam, device=device)
     result = simulator.expose(scene, 1.0)
