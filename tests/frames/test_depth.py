@@ -320,7 +320,7 @@ def two_layers(alpha=None):
 
 @pytest.mark.parametrize("device", KINDS)
 def test_layers_that_a_scene_gives(device):
-    """Electrons of a scene of two layers, against sums of blurred bands in float64 by other means."""
+    """Electrons of a scene of two layers, against blurred bands in float64: product and covariance."""
     scene, cam = two_layers(), camera()
     simulator = Simulator(cam, device=device)
     result = simulator.expose(scene, 1.0)
@@ -347,9 +347,14 @@ def test_layers_that_a_scene_gives(device):
             whole = np.fft.rfft2(np.pad(picture, (256 - SIZE) // 2, mode="edge"))
             return np.fft.irfft2(table[fold] * whole)[80:-80, 80:-80]
 
+        back = scene.content.values[band].astype(float)
+        # what diffraction in focus blurs of the product, by rays, and not of its factors
+        rays = spread(alpha, 8.0)
+        both = by(rays * back, clear) - by(rays, clear) * by(back, clear)
         total = total + weight * (
             by(alpha * layer.content.values[band].astype(float), disc)
-            + (1 - by(alpha, disc)) * by(scene.content.values[band].astype(float), clear)
+            + (1 - by(alpha, disc)) * by(back, clear)
+            - both
         )
     # coverage is blurred by each band's own kernel here, by the channel's mean kernel there: even in the centre of an
     # edge, what passes differs by less than the discs' rims, lambda N / pitch = 0.1 px of 8 between bands, so 1e-2, and

@@ -225,7 +225,7 @@ def test_plan_has_three_exit_statuses(tmp_path, capsys):
 
 
 @pytest.mark.parametrize("size", [1, 3, 8])
-def test_light_behind_the_edges_of_layers_is_in_the_account(size):
+def test_layers_in_focus_are_the_flat_picture(size):
     """A sheet in the plane of what it covers, all in focus: the frame must be that of the flat picture."""
     from gpusim.domain.content import Cube
     from gpusim.domain.scene import Layer, Scene
@@ -249,5 +249,5 @@ def test_light_behind_the_edges_of_layers_is_in_the_account(size):
     flat = simulate.expose(Scene(Cube(wavelengths, np.where(alpha > 0, front, behind)), light))
     error = np.asarray(layered.mean) - np.asarray(flat.mean, np.float64)
     true = np.sqrt(np.mean(error**2) / np.mean(np.square(flat.mean, dtype=np.float64)))
-    predicted = layered.plan.account.total.rms
-    assert true / 1.5 < predicted < 4 * true and not layered.plan.verdict.is_met
+    # both frames may err by the tolerance, and each does by about 6e-5; the product of blurred layers erred by 4e-3
+    assert true < 2e-4 and layered.plan.verdict.is_met

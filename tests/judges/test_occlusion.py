@@ -10,7 +10,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Layer, Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
-from gpusim.optics.depth import distance_of
+from gpusim.optics.depth import circle_of_confusion, distance_of
 from gpusim.optics.lens import PupilLens
 from gpusim.optics.occlusion import Sheet, covariance, find_occlusion
 from gpusim.pipeline.simulator import Simulator
@@ -303,3 +303,35 @@ def test_light_that_may_be_hidden_is_within_its_bound():
         sigma = wrong / np.sqrt(np.array(true.mean) + READ**2)
         assert np.quantile(sigma, 0.999) <= bound.p999_sigma
         assert sigma.max() <= bound.max_sigma
+
+
+def boxes(size=SIZE):
+    """Three textured boxes at different distances before a wall, as a renderer gives them: nearest first."""
+    y, x = np.indices((size, size))
+    covers = [
+        ((abs(y - at_y) < high) & (abs(x - at_x) < wide)).astype(float)
+        for at_y, at_x, high, wide in ((34, 14, 9, 8), (26, 27, 8, 9), (15, 36, 10, 7))
+    ]
+    return [*covers, np.ones((size, size))]
+
+
+SLR = Optics(2.8, 50e-3, object_distance=3.0, relative_illumination="none")
+
+
+@pytest.mark.parametrize(
+    ("optics", "pitch", "distances", "well"),
+    [
+        (replace(PHONE, f_number=1.8), 2e-6, (0.2, 0.35, 0.6, 3.0), 6000.0),
+        (SLR, 6e-6, (2.6, 2.9, 3.2, 3.6), 50000.0),
+    ],
+    ids=["phone", "slr"],
+)
+def test_boxes_before_a_wall(optics, pitch, distances, well):
+    """Frames as of Isaac and Mitsuba, with the lens alone: 1 % of the full well everywhere; most of it to 0.1 sigma."""
+    lights = [FRONT, MIDDLE, texture(4, 0.6), BACK]
+    confusions = [float(circle_of_confusion(optics, d, pitch)) for d in distances]
+    layers = [Flat(*one) for one in zip(lights, boxes(), confusions, strict=True)]
+    error, plan = error_in_sigma(layers, optics, pitch, SMOOTH, well=well / 3)
+    assert np.abs(error).max() * well**0.5 < 0.01 * well
+    own = np.quantile(np.abs(error), 0.999)
+    assert own < 0.1 and own < 1.5 * plan.account.total.p999_sigma + 0.03

@@ -38,6 +38,8 @@ DIFFRACTED = (
     1.0  # share of what the sum over the pupil changes: rays take part of a wave out of focus
 )
 NEGLIGIBLE = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
+WINDOW = 256  # [sample] a side of the part of a picture in which that is predicted
+FIELDS = ("light", "alpha", "radius")
 LEFT = 0.15  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
 NEAR = 4.0  # [sample] over which noise is taken from the light
@@ -177,14 +179,22 @@ def _with_occlusion(question, depth, probes, placed, notes):
         sheets = [sheet.at(*places, border) for sheet in sheets]
     found = find_occlusion(sheets, question.optics.pupil, border, least)
     known = probes() if question.tolerance is not None else None
-    wrong, tolerance = _behind_edges(question, sheets), question.tolerance
-    bound = _located(question, wrong, picture, known)
-    if tolerance is None or bound.ratio(tolerance) > NEGLIGIBLE:
+    window, tolerance = _densest(sheets), question.tolerance
+    parts = [replace(one, **{key: getattr(one, key)[window] for key in FIELDS}) for one in sheets]
+    wrong = _behind_edges(question, parts)
+    product = _located(question, wrong, picture[window], known)
+    is_displaced = question.distortion is not None or not question.scene.view.is_plain
+    if not is_displaced and (tolerance is None or product.ratio(tolerance) > NEGLIGIBLE):
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
-        wrong = LEFT * wrong
-    wrong = np.hypot(found.error, wrong)
-    bounds = {"depth, light behind the edges of layers": _located(question, wrong, picture, known)}
+        product = product.times(LEFT)
+    # places are those of the scene's own samples
+    left = found.error + found.seen if is_displaced else found.error
+    bounds = {
+        "depth, light behind the edges of layers": total(
+            [product, _located(question, left, picture, known)]
+        )
+    }
     if len(found.places):
         notes.leave_out(
             "diffraction at the edges of objects out of focus: rays are cut there",
@@ -196,7 +206,20 @@ def _with_occlusion(question, depth, probes, placed, notes):
         rms = depth.predicted.pop(HIDDEN)
         bound = _located(question, hidden_light(sheets), picture, known)
         bounds[HIDDEN] = replace(bound, rms=rms)
-    return replace(depth, occlusion=found, bounds=bounds)
+    return replace(depth, occlusion=None if is_displaced else found, bounds=bounds)
+
+
+def _densest(sheets):
+    """Rows and columns of the window of up to WINDOW samples a side in which most of the layers' edges lie."""
+    rows, cols = sheets[0].alpha.shape
+    if max(rows, cols) <= WINDOW:
+        return np.s_[:, :]
+    edges = sum(np.abs(np.diff(one.alpha, axis=1, prepend=one.alpha[:, :1])) for one in sheets)
+    edges = edges + sum(np.abs(np.diff(one.alpha, axis=0, prepend=one.alpha[:1])) for one in sheets)
+    down, across = (np.arange(0, n, WINDOW) for n in (rows, cols))
+    sums = np.add.reduceat(np.add.reduceat(edges, down, axis=0), across, axis=1)
+    y, x = np.unravel_index(sums.argmax(), sums.shape)
+    return np.s_[down[y] : down[y] + WINDOW, across[x] : across[x] + WINDOW]
 
 
 def _behind_edges(question, sheets):
@@ -208,7 +231,8 @@ def _behind_edges(question, sheets):
     deviation c / 4.
     """
     # of the cosines of a mirrored world
-    fy, fx = (np.arange(n)[:, None] / (2 * n) for n in question.size)
+    shape = sheets[0].alpha.shape
+    fy, fx = (np.arange(n)[:, None] / (2 * n) for n in shape)
     s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
     seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
     # samples in focus are even over their cells; out of focus the sum over the pupil has the cells
@@ -223,7 +247,7 @@ def _behind_edges(question, sheets):
             apart = [idctn(dctn(one) * passed) for one in (cover * light, cover, light)]
             square = square + (apart[0] - apart[1] * apart[2]) ** 2
         light = front if light is None else front + (1 - cover) * light
-    return np.sqrt(np.broadcast_to(square, question.size))
+    return np.sqrt(np.broadcast_to(square, shape))
 
 
 def _located(question, error, light, probes):
