@@ -136,7 +136,7 @@ def test_a_layer_through_distortion_hides_what_is_behind():
     at = displaced(y, x, shape)
     area = np.linalg.det(np.stack([np.gradient(one) for one in at], axis=-1).transpose(1, 2, 0, 3))
     cover = rows_summed(disc * np.abs(area), 0 * disc + near, *at)
-    # a product of blurred light and blurred transmission: the layer in focus is exact. Next to so high a contrast samples
+    # a product of blurred light and transmission: the layer in focus is exact. Next to so high a contrast samples
     # are taken by area, which adds a variance of up to 1/4 sample^2; an edge of deviation .8 has a second derivative of
     # up to .24 / .8^2, and half the product is .047
     assert np.abs(hidden - (1 - cover) * open_).max() < 0.047 * open_.max()

@@ -124,9 +124,21 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
             "depth left out",
         )
         return None
+    if model := question.lens.distance_model:
+        notes.leave_out(
+            f"measurements at each distance: {model}", UNKNOWN, "distance of measured spreads"
+        )
     light = facts.brightness(question.light)
-    made = plan_depth(optics, question.pitch, facts.depth, light, question.limit, scene=scene)
-    for distance in made.distances[[0, -1]]:
+    made = plan_depth(
+        optics,
+        question.pitch,
+        facts.depth,
+        light,
+        question.limit,
+        scene=scene,
+        curvature=_curvature(question),
+    )
+    for distance in () if question.lens.distance_model else made.distances[[0, -1]]:
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
         except OutOfRange as error:
@@ -138,6 +150,20 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
     if made.sheets:
         made.predicted["depth, light behind the edges of layers"] = _behind_edges(question, made)
     return made
+
+
+def _curvature(question):
+    """Range of circles of confusion by which the field is out of focus along any axis, with 0 (low, high) [sample].
+
+    A wavefront of W waves at the rim is a circle of 8 q W.
+    """
+    optics = question.optics
+    if question.lens.distance_model or question.lens.is_uniform:
+        return 0.0, 0.0
+    own = [optics.wavefront.polynomial(height) for height in np.linspace(0, 1, 5)]
+    waves = [table[at] - own[0][at] for table in own for at in ((2, 0), (0, 2))]
+    circle = 8 * optics.wavefront.reference * 1e-9 * optics.working_f_number / question.pitch
+    return circle * min(waves), circle * max(waves)
 
 
 def _behind_edges(question, depth):
