@@ -13,7 +13,7 @@ from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.probes import RIM, SIDE, Probes
+from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import DECLARED, Notes, Question, displacement_suffix
 
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
@@ -120,7 +120,7 @@ def by_depth(question: Question, probes: Callable[[], Probes], notes: Notes) -> 
     if why := question.lens.fixed_distance:
         notes.leave_out(
             f"depth: {why}, so the blur is the same at all distances",
-            _one_distance(question, probes),
+            _without_depth(question),
             "depth left out",
         )
         return None
@@ -195,30 +195,10 @@ def _behind_edges(question, depth):
     return (wrong / size) ** 0.5 if size > 0 else 0.0
 
 
-def _one_distance(question, probes):
-    """Bound of the error of a blur that is in focus at all distances.
-
-    Defocus changes the wavefront at the pupil's rim by W waves. Any two points of the pupil then
-    differ by at most 2 pi W in phase, so no transfer function changes by more than this, or by more
-    than 2. If the blur is wider than the probes' rim, they cannot show it. Layers that cover a part
-    of a sample cannot be shown without composition.
-    """
-    optics, scene = question.optics, question.scene
-    depth = np.asarray(question.facts.depth, np.float64)
-    for layer in scene.layers:
-        alpha = np.asarray(layer.alpha)
-        if np.any((alpha > 0) & (alpha < 1)):
-            return UNKNOWN
-    if not question.is_blurred:
-        return DECLARED
-    if not (np.isfinite(depth).all() and depth.min() > optics.focal_length):
-        return UNKNOWN
-    # of the sensor [m]
-    shift = np.abs(optics.displacement(1.0) * (1 / optics.object_distance - 1 / depth)).max()
-    if shift / optics.working_f_number / 2 > RIM * question.pitch:
-        return UNKNOWN
-    waves = shift / (8 * optics.working_f_number**2) / (scene.wavelengths.min() * 1e-9)
-    return probes().change_error(min(2 * np.pi * waves, 2.0))
+def _without_depth(question):
+    """Bound of the error of one picture of layers without blur: of samples that they cover in part, it is not known."""
+    partial = (np.asarray(layer.alpha) % 1 for layer in question.scene.layers)
+    return UNKNOWN if any(map(np.any, partial)) else DECLARED
 
 
 def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:
