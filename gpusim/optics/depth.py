@@ -212,6 +212,7 @@ def plan_depth(
     tolerance: float | None = None,
     layered: bool | None = None,
     scene: Scene | None = None,
+    curvature: tuple[float, float] = (0.0, 0.0),
 ) -> DepthPlan:
     """Choose kernels and layers for one picture.
 
@@ -224,6 +225,8 @@ def plan_depth(
         tolerance: Relative RMS error; kernels take a quarter of it.
         layered: Whether to use layers, instead of deciding it.
         scene: Scene with layers, see `flatten` for its depth and brightness.
+        curvature: Circles of confusion that the lens adds to these over the field [pixel]: the
+            smallest and the largest.
 
     Raises:
         BadData: The depth map does not fit.
@@ -248,7 +251,11 @@ def plan_depth(
     contrast = np.sqrt(change / power)
     q = 550e-9 * optics.working_f_number / pitch
     distinct = np.unique(every)
-    nodes = distinct if len(distinct) <= 4 else kernel_nodes(low, high, contrast, tolerance / 4, q)
+    nodes = (
+        distinct
+        if len(distinct) <= 4
+        else kernel_nodes(low, high, contrast, tolerance / 4, q, curvature)
+    )
     nodes = distinct if len(distinct) <= len(nodes) else nodes
     if len(nodes) > MOST_KERNELS:
         raise OutOfRange(
@@ -261,7 +268,9 @@ def plan_depth(
     plain = edges.plain_error(light, power)
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {
-        "depth, kernels between those computed": float(contrast * _remainder(nodes, every, q)),
+        "depth, kernels between those computed": float(
+            contrast * _remainder(nodes, every, q, curvature)
+        ),
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
     distances = distance_of(optics, nodes, pitch)
@@ -359,7 +368,12 @@ def checked_confusion(optics: Optics, pitch: float, depth, shape) -> np.ndarray:
 
 
 def kernel_nodes(
-    low: float, high: float, contrast: float, tolerance: float, q: float = 1.0
+    low: float,
+    high: float,
+    contrast: float,
+    tolerance: float,
+    q: float = 1.0,
+    curvature: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
     """Return circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`, both ends included.
 
@@ -372,16 +386,19 @@ def kernel_nodes(
         contrast: RMS difference of neighbouring pixels over the RMS of the picture.
         tolerance: Relative RMS error.
         q: Wavelength times f-number over pitch.
+        curvature: See `plan_depth`.
     """
     grid = np.linspace(low, high, 16 * int(np.ceil(high - low)) + 17)
     one = grid[len(grid) // 2 : len(grid) // 2 + 1]
-    if contrast * _remainder(one, grid, q) <= tolerance:
+    if contrast * _remainder(one, grid, q, curvature) <= tolerance:
         return one
-    steps = np.append(0, np.cumsum(np.diff(grid) * _derivative(4, grid[1:], q) ** 0.25))
+    steps = np.append(
+        0, np.cumsum(np.diff(grid) * _worst_derivative(4, grid[1:], q, curvature) ** 0.25)
+    )
     count = 4
     while True:
         nodes = np.interp(np.linspace(0, steps[-1], count), steps, grid)
-        if count > MOST_KERNELS or contrast * _remainder(nodes, grid, q) <= tolerance:
+        if count > MOST_KERNELS or contrast * _remainder(nodes, grid, q, curvature) <= tolerance:
             return nodes
         count += 1 + count // 8
 
@@ -393,17 +410,26 @@ def _stencil(nodes, confusion):
     return np.clip(first, 0, len(nodes) - count), count
 
 
-def _remainder(nodes, confusion, q):
+def _remainder(nodes, confusion, q, curvature=(0.0, 0.0)):
     """Root mean square over `confusion` of interpolation's remainder for a picture of contrast 1.
 
     It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance
     times the first.
     """
     first, count = _stencil(nodes, confusion)
-    error = _derivative(count, confusion, q)
+    error = _worst_derivative(count, confusion, q, curvature)
     for i in range(count):
         error = error * (confusion - nodes[first + i]) / (i + 1)
     return float(np.sqrt(np.mean(error**2)))
+
+
+def _worst_derivative(order, confusion, q, curvature):
+    """Return the largest derivative over the field, where the lens adds these circles of confusion."""
+    if not any(curvature):
+        return _derivative(order, confusion, q)
+    places = [confusion + more for more in np.linspace(*curvature, 5)]
+    places.append(confusion + np.clip(-confusion, *curvature))  # in focus somewhere
+    return np.max([_derivative(order, place, q) for place in places], axis=0)
 
 
 def _derivative(order, confusion, q):

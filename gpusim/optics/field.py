@@ -577,6 +577,8 @@ class Differences:
     def _enough(self, error, distance):
         """Size of kernels beyond which the differences at the corners cost less than `error`."""
         least = self.lens.least_size
+        if self.lens.tail is None and distance is not None:  # the spread ends
+            least = max(least, 2 * int(np.ceil(self.lens.spread(self.nodes, 0.0, distance))) + 3)
         corner = farthest_corner(self.shape, self.middle) / self.corner
         middle = [self.nodes[len(self.nodes) // 2]]
         colour = np.abs(self.lens.optics.lateral_color_at(self.nodes)).max()
@@ -584,7 +586,7 @@ class Differences:
         if shift > WIDEST_SHIFT:  # of the farthest wavelength
             least = max(least, 2 * int(np.ceil(shift)) + SIZES[0])
         for sizes in (SIZES, *WIDER):
-            most = max(sizes[-1], self.lens.least_size)
+            most = max(sizes[-1], least | 1 if distance is not None else self.lens.least_size)
             whole = self.lens.kernels(middle, corner, most, distance)
             axis = self.lens.kernels(middle, (0.0, 0.0), most, distance)
             for size in sizes:

@@ -15,13 +15,14 @@ from typing import Any, Protocol
 
 import numpy as np
 import scipy
+import scipy.special
 
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, symmetric
 from gpusim.optics import farfield, points
+from gpusim.optics.depth import circle_of_confusion
 from gpusim.optics.geometric import coarse_kernel, ray_error, ray_tables
 from gpusim.optics.otf import transfer
 from gpusim.optics.psf import fastest_turn, mean_slopes, psf_tables, spread_at, steepest_slope
@@ -141,6 +142,10 @@ class Lens(Protocol):
         """Why the blur does not follow the distance of objects, in words; "" if it does."""
 
     @property
+    def distance_model(self) -> str:
+        """How the blur follows the distance, in words, if that is a model whose error is not known; else ""."""
+
+    @property
     def symmetry(self) -> Symmetry:
         """Symmetries of the blur."""
 
@@ -242,6 +247,7 @@ class _OnGrid:
 
     is_pointlike = False
     is_adjustable = True
+    distance_model = ""
 
     @property
     def is_uniform(self) -> bool:
@@ -530,7 +536,11 @@ class MeasuredLens(_OnGrid):
 
     is_airy = is_adjustable = False
     tail = None
-    fixed_distance = "the lens was measured at one"
+    fixed_distance = ""
+    distance_model = (
+        "point spreads that were measured at one distance are convolved with the disc by which a thin lens of their "
+        "f-number is out of focus at another"
+    )
     symmetry = Symmetry(False, False)
 
     @property
@@ -545,34 +555,46 @@ class MeasuredLens(_OnGrid):
         return int(np.ceil(2 * self.spread(()) + 2 * max(map(abs, self.displacement)))) + 2
 
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
-        """See `Lens`. Raises OutOfRange if the spread is larger than `size` samples, or a distance is given."""
-        _require_no_distance(distance)
+        """See `Lens`. Raises OutOfRange if the measured spread is larger than `size` samples."""
         place = tuple(np.clip(place, np.negative(self.corner), self.corner).tolist())
-        tables = self._tables(wavelengths, size, size, place=place)
+        tables = self._defocused(self._tables(wavelengths, size, size, place=place), size, distance)
         kernels = np.fft.irfft2(tables.view(np.complex128), (size, size))
         kernels = np.fft.fftshift(kernels, axes=(1, 2))
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. The kernels hold all light."""
-        kernels = self.kernels(wavelengths, place, self.least_size | 1, distance)
+        size = max(self.least_size, 2 * int(np.ceil(self.spread((), 0.0, distance))) + 3) | 1
+        kernels = self.kernels(wavelengths, place, size, distance)
         at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
         return np.stack([kernels.sum(axis=2) @ at, kernels.sum(axis=1) @ at], axis=1)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
-        _require_no_distance(distance)
         data = self.spread_data
-        return max(data.values.shape[-2:]) * data.spacing / self.pitch / 2
+        own = max(data.values.shape[-2:]) * data.spacing / self.pitch / 2
+        return own + abs(self._disc(distance)) / self.pitch / 2
 
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
-        _require_no_distance(distance)
         finest = float(q.min()) * self.pitch / 2 if stages.whole else 0.0
         wavelengths = self.nanometres(q)
-        return stages.given(
-            self._tables(wavelengths, rows, cols, finest=finest, whole=stages.whole)
-        )
+        tables = self._tables(wavelengths, rows, cols, finest=finest, whole=stages.whole)
+        return stages.given(self._defocused(tables, cols, distance))
+
+    def _disc(self, distance) -> float:
+        """Return the diameter of the disc by which a distance is out of focus [m]; 0 for None."""
+        return 0.0 if distance is None else float(circle_of_confusion(self.optics, distance))
+
+    def _defocused(self, tables, cols, distance):
+        """Return tables, real and imaginary parts side by side, of spreads that are convolved with that disc."""
+        disc = self._disc(distance) / self.pitch
+        if not disc:
+            return tables
+        fy, fx = np.fft.fftfreq(tables.shape[1]), np.arange(cols // 2 + 1) / cols
+        passed = _disc_transfer(disc * np.hypot(fy[:, None], fx))
+        whole = np.ascontiguousarray(tables, np.float64).view(np.complex128) * passed
+        return whole.view(np.float64)
 
     def _tables(self, wavelengths, rows, cols, **options):
         """Transfer tables of the point spreads, see `psf_tables` for the options."""
@@ -589,13 +611,13 @@ class MeasuredLens(_OnGrid):
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`. Between its wavelengths a measured point spread is linear."""
-        _require_no_distance(distance)
         wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
         values = spread_at(self.spread_data, wavelengths, place)
         spacing, (rows, cols) = self.spread_data.spacing, values.shape[1:]
         left = np.exp(-2j * np.pi * spacing * np.outer(fy, np.arange(rows) - (rows - 1) / 2))
         right = np.exp(-2j * np.pi * spacing * np.outer(fx, np.arange(cols) - (cols - 1) / 2))
-        return np.einsum("fy,lyx,fx->lf", left, values, right, optimize=True)
+        found = np.einsum("fy,lyx,fx->lf", left, values, right, optimize=True)
+        return found * _disc_transfer(self._disc(distance) * np.hypot(fy, fx))
 
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
         """See `Lens`."""
@@ -709,12 +731,10 @@ def kernels_at(lens: Lens, wavelengths, points, size: int) -> np.ndarray:
         return np.array(list(made))
 
 
-def _require_no_distance(distance):
-    """Raise OutOfRange if a distance is asked of a lens that was measured at one."""
-    if distance is not None:
-        raise OutOfRange(
-            "distance", f"{distance:.4g} m", "none: the point spreads were measured at one distance"
-        )
+def _disc_transfer(cycles) -> np.ndarray:
+    """Return the transfer of an even disc at frequencies in cycles per diameter."""
+    v = np.pi * np.maximum(np.abs(cycles), 1e-9)
+    return 2 * scipy.special.j1(v) / v
 
 
 def _polar(place) -> tuple[float, float]:

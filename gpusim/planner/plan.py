@@ -244,19 +244,13 @@ class Plan:
     def misfit(self, scene: Scene) -> str:
         """Return the reason why frames of another scene cannot be made with this plan; "" if they can."""
         own = self.scene
-        is_same = (  # in another view
-            own.depth is not None
-            and own.depth is scene.depth
-            and own.content is scene.content
-            and own.layers is scene.layers
-        )
         for part, why in (
             (self.find(Highlights), "it has split off the highlights of its own scene"),
             (self.find(FieldBlur), "its blur varies over the field, by its own scene's light"),
             (own.depth, "its blur goes by its own scene's depth"),
             (scene.depth, "that scene has depth"),
         ):
-            if part is not None and not (is_same and part is not self.find(Highlights)):
+            if part is not None:
                 return why
         if not own.content.is_like(scene.content):
             return "wanted content of the same kind, wavelengths and entries"

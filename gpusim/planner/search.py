@@ -35,7 +35,6 @@ REMEDIES = {
     "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
     "view": "a scene drawn finer, by samples_per_pixel, would be met",
     "distortion": "a scene drawn finer, by samples_per_pixel, would be met",
-    "depth left out": "a lens without field variation, distortion or measured spreads would show it",
     "depth, light behind the edges of layers": "a larger tolerance would be met",
     "depth": "a scene that gives its layers, or less depth, would be met",
 }

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim.domain.errors import OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil
@@ -79,8 +78,22 @@ def test_a_distance_is_a_defocus():
         open_lens(near, 1e-6).kernels([550.0], (0.0, 0.0), 31),
     ]
     assert np.allclose(*kernels, atol=1e-9)
-    with pytest.raises(OutOfRange, match="measured at one distance"):
-        open_lens(LENSES["measured"], 1e-6).kernels([550.0], (0.0, 0.0), 31, 0.8)
+
+
+def test_a_distance_is_a_disc_on_measured_spreads():
+    """An even disc passes half at 2 J1(v) / v = 1/2, v = 2.215, and nothing at 1.2197 cycles a diameter."""
+    lens = open_lens(LENSES["measured"], 1e-6)
+    image = 1 / (1 / OPTICS.focal_length - 1)
+    disc = image * OPTICS.focal_length / OPTICS.f_number * (1 / 0.8 - 1) / 1e-6  # [sample]
+    f = np.array([2.215 / np.pi, 1.2196699]) / disc / 1e-6
+    ratio = lens.transfer([550.0], 0 * f, f, distance=0.8) / lens.transfer([550.0], 0 * f, f)
+    np.testing.assert_allclose(np.abs(ratio[0]), [0.5, 0.0], atol=1e-3)
+    kernel, sharp = (lens.kernels([550.0], (0.0, 0.0), 63, at)[0] for at in (0.8, None))
+    assert kernel.sum() == pytest.approx(1)
+    at = np.arange(63) - 31
+    widths = [one.sum(axis=0) @ at**2 for one in (kernel, sharp)]
+    # a disc has a variance of a sixteenth of its diameter squared along an axis; the ends of the period take part of it
+    assert widths[0] - widths[1] == pytest.approx(disc**2 / 16, rel=0.05)
 
 
 def test_predicates_say_what_the_lens_does():

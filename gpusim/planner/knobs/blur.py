@@ -16,7 +16,7 @@ from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.occlusion import SHARP, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
-from gpusim.planner.probes import RIM, SIDE, Probes
+from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import DECLARED, Notes, Question, displacement_suffix
 
 SMALL = 400  # samples along a frame below which a field varies within a kernel: predicted over true was .1 to 1.7
@@ -139,13 +139,25 @@ def by_depth(
     if why := question.lens.fixed_distance:
         notes.leave_out(
             f"depth: {why}, so the blur is the same at all distances",
-            _one_distance(question, probes),
+            _without_depth(question),
             "depth left out",
         )
         return None
+    if model := question.lens.distance_model:
+        notes.leave_out(
+            f"measurements at each distance: {model}", UNKNOWN, "distance of measured spreads"
+        )
     light = facts.brightness(question.light)
-    made = plan_depth(optics, question.pitch, facts.depth, light, question.limit, scene=scene)
-    for distance in made.distances[[0, -1]]:
+    made = plan_depth(
+        optics,
+        question.pitch,
+        facts.depth,
+        light,
+        question.limit,
+        scene=scene,
+        curvature=_curvature(question),
+    )
+    for distance in () if question.lens.distance_model else made.distances[[0, -1]]:
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
         except OutOfRange as error:
@@ -155,6 +167,20 @@ def by_depth(
                 f"nearer to the focus, or a smaller aperture: {error}",
             ) from None
     return made if made.layers < 2 else _with_occlusion(question, made, probes, placed, notes)
+
+
+def _curvature(question):
+    """Range of circles of confusion by which the field is out of focus along any axis, with 0 (low, high) [sample].
+
+    A wavefront of W waves at the rim is a circle of 8 q W.
+    """
+    optics = question.optics
+    if question.lens.distance_model or question.lens.is_uniform:
+        return 0.0, 0.0
+    own = [optics.wavefront.polynomial(height) for height in np.linspace(0, 1, 5)]
+    waves = [table[at] - own[0][at] for table in own for at in ((2, 0), (0, 2))]
+    circle = 8 * optics.wavefront.reference * 1e-9 * optics.working_f_number / question.pitch
+    return circle * min(waves), circle * max(waves)
 
 
 def _with_occlusion(question, depth, probes, placed, notes):
@@ -183,13 +209,13 @@ def _with_occlusion(question, depth, probes, placed, notes):
     parts = [replace(one, **{key: getattr(one, key)[window] for key in FIELDS}) for one in sheets]
     wrong = _behind_edges(question, parts)
     product = _located(question, wrong, picture[window], known)
-    is_displaced = question.distortion is not None or not question.scene.view.is_plain
-    if not is_displaced and (tolerance is None or product.ratio(tolerance) > NEGLIGIBLE):
+    if tolerance is None or product.ratio(tolerance) > NEGLIGIBLE:
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
         product = product.times(LEFT)
-    # places are those of the scene's own samples
-    left = found.error + found.seen if is_displaced else found.error
+    # rays are those of the axis, and of a thin lens
+    is_exact = question.lens.is_uniform and not question.lens.distance_model
+    left = found.error if is_exact else found.error + found.seen
     bounds = {
         "depth, light behind the edges of layers": total(
             [product, _located(question, left, picture, known)]
@@ -206,7 +232,7 @@ def _with_occlusion(question, depth, probes, placed, notes):
         rms = depth.predicted.pop(HIDDEN)
         bound = _located(question, hidden_light(sheets), picture, known)
         bounds[HIDDEN] = replace(bound, rms=rms)
-    return replace(depth, occlusion=None if is_displaced else found, bounds=bounds)
+    return replace(depth, occlusion=found, bounds=bounds)
 
 
 def _densest(sheets):
@@ -267,30 +293,10 @@ def _located(question, error, light, probes):
     return Bound(rms, float(np.quantile(sigma, 0.999)), float(sigma.max()))
 
 
-def _one_distance(question, probes):
-    """Bound of the error of a blur that is in focus at all distances.
-
-    Defocus changes the wavefront at the pupil's rim by W waves. Any two points of the pupil then
-    differ by at most 2 pi W in phase, so no transfer function changes by more than this, or by more
-    than 2. If the blur is wider than the probes' rim, they cannot show it. Layers that cover a part
-    of a sample cannot be shown without composition.
-    """
-    optics, scene = question.optics, question.scene
-    depth = np.asarray(question.facts.depth, np.float64)
-    for layer in scene.layers:
-        alpha = np.asarray(layer.alpha)
-        if np.any((alpha > 0) & (alpha < 1)):
-            return UNKNOWN
-    if not question.is_blurred:
-        return DECLARED
-    if not (np.isfinite(depth).all() and depth.min() > optics.focal_length):
-        return UNKNOWN
-    # of the sensor [m]
-    shift = np.abs(optics.displacement(1.0) * (1 / optics.object_distance - 1 / depth)).max()
-    if shift / optics.working_f_number / 2 > RIM * question.pitch:
-        return UNKNOWN
-    waves = shift / (8 * optics.working_f_number**2) / (scene.wavelengths.min() * 1e-9)
-    return probes().change_error(min(2 * np.pi * waves, 2.0))
+def _without_depth(question):
+    """Bound of the error of one picture of layers without blur: of samples that they cover in part, it is not known."""
+    partial = (np.asarray(layer.alpha) % 1 for layer in question.scene.layers)
+    return UNKNOWN if any(map(np.any, partial)) else DECLARED
 
 
 def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound]:
