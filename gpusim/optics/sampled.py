@@ -89,7 +89,7 @@ def rows_of(pupil: Pupil, cycles: float, count: int):
     kinks = np.concatenate([kinks, np.sin(pupil.corners) if straight else (-1.0, 1.0)])
     kinks = np.unique(np.round(kinks, 12))
     ends = kinks if straight else np.arcsin(np.clip(kinks, -1, 1))
-    v, mass = [], []
+    places, masses = [], []
     for low, high in pairwise(ends):
         # how far the ends of rows move over the panel, along and across
         moved = high - low
@@ -102,11 +102,12 @@ def rows_of(pupil: Pupil, cycles: float, count: int):
         if hole:  # roots at a panel's ends become smooth
             x, slope = (3 * x - x**3) / 2, 1.5 * (1 - x * x)
         at, weight = low + (high - low) * (x + 1) / 2, gauss * slope * (high - low) / 2
-        v.append(at if straight else np.sin(at))
-        mass.append(weight if straight else weight * np.cos(at))
-    v, mass = np.concatenate(v), np.concatenate(mass)
+        places.append(at if straight else np.sin(at))
+        masses.append(weight if straight else weight * np.cos(at))
+    v, mass = np.concatenate(places), np.concatenate(masses)
     step, u = _places(count)
-    weights = _between(*_chord(pupil, v), u, step)
+    left, right = _chord(pupil, v)
+    weights = _between(left, right, u, step)
     if hole:
         reach = np.sqrt(np.maximum(hole**2 - v * v, 0))
         weights -= _between(-reach, reach, u, step)
