@@ -89,7 +89,7 @@ def rows_of(pupil: Pupil, cycles: float, count: int):
     kinks = np.concatenate([kinks, np.sin(pupil.corners) if straight else (-1.0, 1.0)])
     kinks = np.unique(np.round(kinks, 12))
     ends = kinks if straight else np.arcsin(np.clip(kinks, -1, 1))
-    v, mass = [], []
+    places, masses = [], []
     for low, high in pairwise(ends):
         # how far the ends of rows move over the panel, along and across
         moved = high - low
@@ -102,11 +102,12 @@ def rows_of(pupil: Pupil, cycles: float, count: int):
         if hole:  # roots at a panel's ends become smooth
             x, slope = (3 * x - x**3) / 2, 1.5 * (1 - x * x)
         at, weight = low + (high - low) * (x + 1) / 2, gauss * slope * (high - low) / 2
-        v.append(at if straight else np.sin(at))
-        mass.append(weight if straight else weight * np.cos(at))
-    v, mass = np.concatenate(v), np.concatenate(mass)
+        places.append(at if straight else np.sin(at))
+        masses.append(weight if straight else weight * np.cos(at))
+    v, mass = np.concatenate(places), np.concatenate(masses)
     step, u = _places(count)
-    weights = _between(*_chord(pupil, v), u, step)
+    left, right = _chord(pupil, v)
+    weights = _between(left, right, u, step)
     if hole:
         reach = np.sqrt(np.maximum(hole**2 - v * v, 0))
         weights -= _between(-reach, reach, u, step)
@@ -143,22 +144,29 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
     cycles = half * STEP + fastest_turn(wave)
     # rounded up, so that wavelengths and places share rows
     cycles = float(np.exp2(np.ceil(8 * np.log2(max(cycles, 4))) / 8))
-    count = 2 * int(np.ceil(FINE * cycles)) // 2 + ORDER
+    # samples 4 / length apart: transforms of this length have X in steps of STEP
+    length = scipy.fft.next_fast_len(2 * int(np.ceil(FINE * cycles))) * 2
+    count = length // 2 + ORDER
     v, weights = rows_of(pupil, cycles, count)
     _, u = _places(count)
     even = len(pupil.sides) % 2 == 0 and not _odd(wave).any()
-    if even:  # rows -v are the same from right to left: the amplitude is real, a sum over v > 0
+    if even:  # rows -v are the rows v from right to left: sums over v > 0 make all
         upper = len(v) // 2
         v, weights = v[upper:], weights[upper:]
     path = polygrid2d(u, v, wave).T
     phase = (2 * np.pi * (path - np.rint(path))).astype(np.float32)
-    parts = np.concatenate([np.cos(phase) * weights, np.sin(phase) * weights])
-    # sums with cosines and sines over u, then over v, for X and Y >= 0; signs make the other quadrants
-    (cos_u, sin_u), (cos_v, sin_v) = (
-        _turns_along(half, count),
-        _turns_across(pupil, half, cycles, count),
+    opening = np.empty(phase.shape, np.complex64)
+    np.multiply(np.cos(phase), weights, out=opening.real)
+    np.multiply(np.sin(phase), weights, out=opening.imag)
+    lines = scipy.fft.ifft(opening, length, norm="forward")
+    turn = np.exp(-2j * np.pi * ((count - 1) / 2 / length * np.arange(half + 1))).astype(
+        np.complex64
     )
-    by_cos, by_sin = (_complex_pair(parts @ turn) for turn in (cos_u, sin_u))
+    plus = lines[:, : half + 1] * turn
+    minus = np.concatenate([lines[:, :1], lines[:, : -half - 1 : -1]], axis=1) * turn.conj()
+    # sums with cosines and sines over u, then over v, for X and Y >= 0; signs make the other quadrants
+    by_cos, by_sin = (_pair(both) for both in ((plus + minus) / 2, (plus - minus) / 2j))
+    cos_v, sin_v = _turns_across(pupil, half, cycles, count)
     cos_v, sin_v = cos_v[:, -len(v) :], sin_v[:, -len(v) :]
     straight, crossed = cos_v @ by_cos, sin_v @ by_sin
     if even:
@@ -175,9 +183,9 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
     return energy
 
 
-def _complex_pair(parts):
-    """Real and imaginary parts, one below the other, side by side."""
-    return np.hstack(np.split(parts, 2))
+def _pair(values):
+    """Real and imaginary parts of complex64 numbers, side by side."""
+    return np.hstack([values.real, values.imag])
 
 
 def _turn(pair):
@@ -199,19 +207,9 @@ def _odd(wave):
 
 
 @lru_cache(maxsize=8)
-def _turns_along(half, count):
-    """Cosines and sines of the samples of a row, (count, half + 1), float32."""
-    return _cos_and_sin(np.outer(_places(count)[1], np.arange(half + 1) * STEP))
-
-
-@lru_cache(maxsize=8)
 def _turns_across(pupil, half, cycles, count):
     """Cosines and sines of the rows, (half + 1, rows), float32."""
-    return _cos_and_sin(np.outer(np.arange(half + 1) * STEP, rows_of(pupil, cycles, count)[0]))
-
-
-def _cos_and_sin(turns):
-    phase = 2 * np.pi * turns
+    phase = 2 * np.pi * np.outer(np.arange(half + 1) * STEP, rows_of(pupil, cycles, count)[0])
     return np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32)
 
 
