@@ -34,7 +34,7 @@ NEAR, FOCUS = 0.8, 2.0  # [m]
 EXPOSURE = 0.01  # [s]
 FOCAL_PIXELS = 40.0  # focal length of calibrations and of the fisheye [pixel]
 K1, K2 = 0.2, 0.2  # radial coefficients: they move a corner by 5 pixels
-MOST_LEFT_OUT = 1e-3  # relative rms error of an effect that is left out, at most
+MOST_LEFT_OUT = 0.02  # relative rms error of an effect that is left out, at most
 WHOLE_LENS = "measured spreads are of the whole lens, with its pupil, wavefront and filters"
 
 RUNS, PHYSICS = "runs", "physics"
