@@ -29,7 +29,7 @@ RATE = Fraction(30)  # [1/s]
 VIEWS = (View(), View((1.5, -2.25), zoom=1.1))
 STOPS = (-1, 1)
 TIMES = (0.4, 1.0)  # of reads, relative to the exposure time
-FLICKER = Flicker(100.0, depth=0.8)
+FLICKER = Flicker(130.0, depth=0.8)  # not a whole number of periods in an exposure
 # an effect that is left out, and its error
 LEFT_OUT = re.compile(r"(.*): (?:relative rms (\S+), predicted|its error is not known)")
 

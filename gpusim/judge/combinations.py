@@ -29,12 +29,12 @@ from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.io.camera.cameras import open_camera
 
-SAMPLES = (24, 32)  # rows and columns of a scene; a frame has half as many if supersampled
+SAMPLES = (32, 40)  # rows and columns of a scene; bursts merge tiles of 32
 NEAR, FOCUS = 0.8, 2.0  # [m]
 EXPOSURE = 0.01  # [s]
 FOCAL_PIXELS = 40.0  # focal length of calibrations and of the fisheye [pixel]
 K1, K2 = 0.2, 0.2  # radial coefficients: they move a corner by 5 pixels
-MOST_LEFT_OUT = 1e-3  # relative rms error of an effect that is left out, at most
+MOST_LEFT_OUT = 0.02  # relative rms error of an effect that is left out, at most
 WHOLE_LENS = "measured spreads are of the whole lens, with its pupil, wavefront and filters"
 
 RUNS, PHYSICS = "runs", "physics"

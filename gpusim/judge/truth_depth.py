@@ -17,6 +17,7 @@ visibility at each point, and with mean coverages. The lens in focus blurs the d
 import dataclasses
 from dataclasses import dataclass
 from math import ceil
+from typing import Any
 
 import numpy as np
 import scipy
@@ -140,15 +141,13 @@ def cuts(circles: np.ndarray) -> list[float]:
     Source:
         The greedy algorithm for stabbing intervals.
     """
-    low, high = [], []
+    apart = []
     for axis in (0, 1):
-        ends = np.sort(
-            [np.delete(circles, 0, axis).ravel(), np.delete(circles, -1, axis).ravel()], axis=0
-        )
-        apart = ends[1] - ends[0] > JUMP
-        low.append(ends[0][apart])
-        high.append(ends[1][apart])
-    low, high = np.concatenate(low), np.concatenate(high)
+        pair = np.delete(circles, 0, axis).ravel(), np.delete(circles, -1, axis).ravel()
+        apart.append(np.sort(np.stack(pair), axis=0))
+    low, high = np.concatenate(apart, axis=1)
+    jumps = high - low > JUMP
+    low, high = low[jumps], high[jumps]
     found: list[float] = []
     while len(low):
         end = high.min()
@@ -241,7 +240,7 @@ def hidden_difference(camera, scene, sheets, weights) -> np.ndarray:
             own.append((planes * share, sheet.cover * share, rays))
         parts.append(own)
     rim = ceil(farthest) + 8
-    border = "symmetric" if scene.border == "reflect" else "edge"
+    border: Any = "symmetric" if scene.border == "reflect" else "edge"
     around = ((rim, rim), (rim, rim))
     parts = [
         [

@@ -177,16 +177,17 @@ class _PupilField(Field):
             share = scipy.interpolate.make_interp_spline(nodes, np.eye(count), degree)
             between = (nodes[1:] + nodes[:-1])[[0, count // 2, -1]] / 2
             tried = known[np.abs(known[:, None] - between).argmin(axis=0)]
-            if all(self._is_near(nodes, share, tried, place) for place in (ends, halfway)):
+            if self._are_near(nodes, share, tried, (ends, halfway)):
                 return nodes, share(known).T
         return known, np.eye(len(known))
 
-    def _is_near(self, nodes, share, tried, place):
-        """Return whether kernels at a place may be splines through those at the nodes."""
-        kernels = [self.kernel(node, *place) for node in nodes]
+    def _are_near(self, nodes, share, tried, places):
+        """Return whether kernels at places may be splines through those at the nodes."""
+        kernels = [self._kernels(node, places) for node in nodes]
         for one in tried:
-            own = self.kernel(one, *place)
-            if np.abs(np.tensordot(share(one), kernels, 1) - own).max() > ERROR * own.max():
+            own = self._kernels(one, places)
+            wrong = np.abs(np.tensordot(share(one), kernels, 1) - own).max(axis=(1, 2))
+            if (wrong > ERROR * own.max(axis=(1, 2))).any():
                 return False
         return True
 

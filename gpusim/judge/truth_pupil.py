@@ -15,7 +15,7 @@ import scipy
 
 from gpusim.domain.optics import Optics
 
-AROUND = 16  # [sample] beyond a kernel, over which its transform repeats
+AROUND = 12  # [sample] beyond a kernel, over which its transform repeats
 MORE = 24  # nodes of each sum beyond half a cycle each
 
 
@@ -43,7 +43,8 @@ class PupilKernels:
         shift = np.hypot(*displacement) + abs(self._colour()) * 1.5 * corner
         cycles = (np.abs(self.at).max() + shift) / (2 * self.q) + steepest
         self.v, mass, self.u, self.along, self.area = _chords(optics.pupil, cycles)
-        self.down = np.exp(1j * np.pi / self.q * np.outer(self.at, self.v)) * mass
+        down = np.exp(1j * np.pi / self.q * np.outer(self.at, self.v)) * mass
+        self.down = down.astype(np.complex64)
         # rounded to 1e-7 of the field; nodes in double precision would take twice the memory
         self.across = np.empty((*self.u.shape, len(self.at)), np.complex64)
         for own, one in zip(self.across, np.pi / self.q * self.u, strict=True):
@@ -71,7 +72,8 @@ class PupilKernels:
         whole = self.fine * np.arange(-self.half, self.half + 1)
         found = []
         for number in range(len(places)):
-            light = np.abs(self.down @ lines[:, number]) ** 2 / (self.area * 4 * self.q**2)
+            light = np.abs((self.down @ lines[:, number]).astype(complex)) ** 2
+            light /= self.area * 4 * self.q**2
             spectrum = scipy.fft.fft2(scipy.fft.ifftshift(light)) * self.box
             found.append(scipy.fft.ifft2(spectrum).real[np.ix_(whole, whole)])
         return np.stack(found)

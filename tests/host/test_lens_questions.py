@@ -18,7 +18,9 @@ ASKING = {
     "gpusim/domain/optics.py",  # checks the settings
     "gpusim/domain/pupil.py",  # the geometry of pupils
     "gpusim/optics/lens.py",  # the classes
-    "gpusim/judge/truth_lens.py",  # the truth asks for itself
+    "gpusim/judge/truth_depth.py",  # the truth asks for itself
+    "gpusim/judge/truth_lens.py",
+    "gpusim/judge/truth_pupil.py",
 }
 SETTINGS = {"varies", "is_ideal", "is_symmetric", "has_mirror", "blades"}
 CLASSES = {"PupilLens", "MeasuredLens", "PointLens"}
