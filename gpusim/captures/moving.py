@@ -324,9 +324,10 @@ def _smear(simulator, probes, path, is_enough, pictures):
             return bound.rms <= EXACT and step <= STEP
         return is_enough(bound, step)
 
-    bound = sum_errors([path.shape_error(probes), sheared])
-    length = f"a path of {path.length:.3g} samples"
-    if does(bound):
+    shape, length = path.shape_error(probes), f"a path of {path.length:.3g} samples"
+    bound = sum_errors([shape, sheared])
+    # no smear errs less if the rows err too much
+    if does(bound) or (pictures is None and does(shape) and not does(sheared)):
         resampled = path.view_error(probes, True)
         return convolve(device, path), bound, resampled, f"{length}: one transfer function"
     if pictures is not None and not does(sheared):

@@ -8,6 +8,7 @@ from cameras import PHONE
 from devices import KINDS
 
 import gpusim as gs
+from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.scene import Scene
 
 SHAPE, MARGIN, SECONDS, START = (24, 36), 280, 0.01, 0.002
@@ -120,3 +121,16 @@ def test_a_smear_errs_no_more_than_it_says(case, row_time):
     assert words is None or words in found
     check(exposure, truth(simulator, motion, row_time, flicker))
     assert exposure.plan.account.bounds["shutter"].rms < 0.02
+
+
+def test_rows_of_a_distorted_picture_see_their_own_time():
+    """The lens moves the picture by rows, which open at other times than the smear takes: said, and no more."""
+    motion, own = gs.Motion(pan=(0, 6000)), camera(4e-5)
+    # 3 % at the corner of the frame: half a row of this small one, 0.12 samples of the path
+    lens = RadialPolynomial(0.03, 0.0, 0.5 * np.hypot(*SHAPE) * own.sensor.pixel_pitch)
+    own = replace(own, optics=replace(own.optics, distortion=lens))
+    simulator = gs.Simulator(own, device="opencl:0")
+    exposure = gs.expose_motion(simulator, scene_of(light(*places())), motion, SECONDS, START)
+    assert "one transfer function" in exposure.plan.models["sensor.shutter"]
+    rms = check(exposure, truth(simulator, motion, 4e-5))
+    assert 1e-5 < rms and exposure.plan.account.bounds["shutter"].rms < 30 * rms
