@@ -84,16 +84,16 @@ def _field(outline: Pupil, wave, rows, cols, turns) -> np.ndarray:
     if outline.obscuration:
         circles.append((-1.0, outline.obscuration, Pupil()))
     for sign, radius, shape in circles:
-        many = (
-            ceil(pi * turns * radius) + 16
-        )  # nodes of a chord; a circle's angle runs faster by pi / 2
+        # nodes of a chord; a circle's angle runs faster by pi / 2
+        many = ceil(pi * turns * radius) + 16
         y, left, right, weight = (radius * part for part in _chords(shape, ceil(pi / 2 * many)))
         nodes, mass = _gauss(many)
         middle, half = (left + right) / 2, (right - left) / 2
         x = middle[:, None] + half[:, None] * nodes
         values = weight[:, None] * half[:, None] * mass
         if wave.any():
-            values = values * np.exp(2j * pi * polyval2d(*np.broadcast_arrays(x, y[:, None]), wave))
+            across, down = np.broadcast_arrays(x, y[:, None])
+            values = values * np.exp(2j * pi * polyval2d(across, down, wave))
         # waves to places times waves to offsets
         offsets = np.exp(2j * pi * np.multiply.outer(cols[1], x)) * values
         places = np.exp(2j * pi * np.multiply.outer(cols[0], x))
@@ -124,7 +124,7 @@ def near_energies(outline: Pupil, wave, q: float, rows, cols, aperture, spots) -
         axes.append((np.asarray(at, np.float64) / (2 * q), offsets / (2 * q)))
         shares.append(np.tile(mass, len(several)) / len(several))
     turns = float(np.hypot(*(np.abs(at).max() for at, _ in axes))) + steepest(wave)
-    field = _field(outline, wave, *axes, turns)
+    field = _field(outline, wave, axes[0], axes[1], turns)
     energy = np.einsum("iajb,a,b->ij", field.real**2 + field.imag**2, *shares, optimize=True)
     return energy / (4 * pi * outline.area * q * q)
 

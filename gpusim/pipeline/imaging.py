@@ -654,9 +654,9 @@ class _Steps:
         if device.on_host:
             values += count * down.splines(0) * shape[1]
             values += channels * plan.scene.samples[0] * across.splines(0)
-        quarter = (plan.period[0] // 2 + 1) * (plan.period[1] // 2 + 1)
+        size = self._bytes_of_table() // 4
         tables = len(plan.q) if self.transfers is None else prod(self.transfers.shape[:2])
-        return 4 * (values + tables * quarter + (1 if self.folded else channels) * self.seen)
+        return 4 * (values + tables * size + (1 if self.folded else channels) * self.seen)
 
     def _work_of_blur(self, stage, cfa):
         """Return the operations of the transforms and of the products of spectra."""

@@ -1,14 +1,21 @@
 """A world without end by Gaussians: frames against sums in real space, which know no Gaussian and no transform."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from devices import ALL_KINDS
+from scipy.interpolate import CubicSpline
 from test_border import camera, images, relative, scene_of, truth
 
 import gpusim as gs
+from gpusim.domain.content import Cube
 from gpusim.domain.errors import OutOfRange
-from gpusim.domain.pupil import Pupil
+from gpusim.domain.pupil import Pupil, Wavefront
+from gpusim.domain.scene import Scene, unit_light
 from gpusim.kernels.optics.far import far
+from gpusim.optics.otf import transfer
+from gpusim.optics.weights import electrons_per_content
 from gpusim.planner.knobs import border as model
 from gpusim.planner.knobs.farfield import FarField
 
@@ -155,3 +162,75 @@ def test_small_frames_and_narrow_gaussians_are_refused(device):
         far(small[0], small, np.ones((1, 1, 2)), sigmas, pattern, "edge", device=device)
     with pytest.raises(OutOfRange, match="growing ones from 4 samples on"):
         far(own[0], own, np.ones((1, 1, 2)), sigmas / 3, pattern, "edge", device=device)
+
+
+COMA = (0,) * 6 + (0.05,)
+ASIDE = {"displaced": ({"offset": (0.4, -0.3)}, {}), "coma": ({}, {"wavefront": Wavefront(COMA)})}
+
+
+def columns(own, bands, row, weights, offset):
+    """Light of each column of an endless world whose rows are all `row` and go on: by a transform of 2^16 columns.
+
+    Along the rows only frequencies across count. The step at the other end is 3e4 columns away. Two places a column
+    hold all frequencies.
+    """
+    length, n, pitch = 2**16, len(row), own.sensor.pixel_pitch
+    before = (length - n) // 2
+    world = np.zeros(2 * length)
+    world[::2] = 2 * np.pad(row.astype(float), (before, length - n - before), mode="edge")
+    f = np.arange(length + 1) / length  # cycles a column
+    few, total = np.linspace(0, 1, 1500), 0.0
+    for band, weight in zip(bands, weights, strict=True):
+        q = band * 1e-9 * own.optics.working_f_number / pitch
+        waves = own.optics.waves(np.array([band]))
+        some = transfer(own.optics.pupil, waves, few, 0 * few)[0]
+        passed = CubicSpline(few, some)(np.minimum(f * q, 1)) * (f * q < 1)
+        # the pixel's aperture, and its place
+        passed = passed * np.sinc(f * own.sensor.aperture[1] / pitch)
+        passed = passed * np.exp(2j * np.pi * f * offset)
+        total = total + weight * np.fft.irfft(np.fft.rfft(world) * passed)[::2]
+    return total[before : before + n]
+
+
+@pytest.mark.parametrize("name", ASIDE)
+def test_light_from_afar_that_is_not_round(name):
+    """Displaced pixels, and coma, before an edge without end, which the frame knows only by its border's rule."""
+    sensor, optics = ASIDE[name]
+    made = gs.open_camera("machine-vision")
+    own = dataclasses.replace(
+        made,
+        sensor=dataclasses.replace(made.sensor, **sensor),
+        optics=dataclasses.replace(
+            made.optics,
+            f_number=1.2 * made.sensor.pixel_pitch / 550e-9,
+            relative_illumination="none",
+            object_distance=np.inf,
+            **optics,
+        ),
+    )
+    bands = np.array([530.0, 570.0])
+    values = np.full((2, 48, 56), 0.02, np.float32)
+    values[:, :, 34:] = 1
+    scene = Scene(Cube(bands, values), unit_light(bands), "edge")
+    exposures = [
+        gs.Simulator(own, device="numpy", tolerance=tolerance).expose(scene, 1.0)
+        for tolerance in (2e-5, None)
+    ]
+    plan = exposures[0].plan
+    assert plan.find(FarField) is not None
+    cfa, rates = own.sensor.cfa_indices, electrons_per_content(scene, own)
+    each = np.stack(
+        [
+            columns(own, bands, values[0, 0], channel, sensor.get("offset", (0, 0))[1])
+            for channel in rates
+        ]
+    )
+    y, x = np.indices(scene.shape)
+    truth = each[cfa[y % cfa.shape[0], x % cfa.shape[1]], x]
+    wrong, plain = (
+        float(np.sqrt(np.mean((np.asarray(one.mean, float) - truth) ** 2) / np.mean(truth**2)))
+        for one in exposures
+    )
+    predicted = plan.account.total.rms
+    print(f"{name}: {wrong:.1e}, predicted {predicted:.1e}, without the world beyond {plain:.1e}")
+    assert wrong < BAND * predicted and wrong < plain / 5

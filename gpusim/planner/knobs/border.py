@@ -212,7 +212,8 @@ def surroundings(
     tails = question.lens.tails(question.scene.wavelengths)
     near = [first]
     wider: list[Surroundings] = []
-    for overlap in OVERLAPS:
+    is_even = question.lens.symmetry.is_round and not any(question.lens.displacement)
+    for overlap in OVERLAPS if is_even else ():
         tiles = in_tiles(overlap, tails)
         if tiles is not None:
             near.append(tiles)

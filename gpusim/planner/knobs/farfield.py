@@ -33,6 +33,7 @@ from gpusim.domain.optics import Optics
 from gpusim.optics.farfield import POWERS, RATIO, SPACINGS, energies, gaussians, misses
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.outside import FREQUENCIES, WINDOW, Outside, border_indices, rule_of
+from gpusim.optics.points import rim_centre, rim_radius
 from gpusim.optics.windows import quantile
 from gpusim.planner.question import Question
 
@@ -109,18 +110,17 @@ class FarField:
 
 
 def has_far_field(question: Question, by_depth: bool) -> bool:
-    """Return whether light from afar is smooth, the same all over the frame and in the middle of every pixel.
+    """Return whether light from afar is smooth and the same all over the frame.
 
     Straight blades throw it along lines.
     """
     lens = question.lens
     return (
         lens.tail is not None
-        and lens.symmetry.is_round
+        and not lens.tail.lines
         and lens.is_uniform
         and not by_depth
         and not question.period
-        and not any(lens.displacement)
         and min(question.size) >= LEAST_SIDE
     )
 
@@ -163,7 +163,27 @@ def seam_error(outside: Outside, question: Question, period: tuple[int, int]) ->
     seam = SEAM * q**2.5 / away**2 * _step(outside, period) * left / sqrt(cell[0] * cell[1])
     powers = 2 * pi * outside.tail * (question.spread / reach) ** 6 / reach
     images = _image_error(outside, question, reach)
-    return sqrt(seam**2 + powers**2 + images**2 + SPLINES**2) + outside.missing / outside.level
+    aside = _asymmetry(question, reach)
+    if aside:  # the transforms have this part of the light, as if there were no Gaussians
+        aside *= outside.error(period, reach)[0]
+    errors = seam, powers, images, aside, SPLINES
+    return sqrt(sum(error**2 for error in errors)) + outside.missing / outside.level
+
+
+def _asymmetry(question, reach):
+    """Part of the light from beyond a reach that is not the same at all angles, and is left to the transforms.
+
+    The tail's middle is aside by c, where rays through the rim land in the mean, or where pixels are displaced: light
+    changes by up to 3 c / r. Rays that land b about the middle, more along one axis than along the other, change it by
+    up to 15 / 2 (b / r)^2.
+    """
+    lens, pupil, found = question.lens, question.optics.pupil, 0.0
+    if lens.symmetry.is_round:
+        return 3 * float(np.hypot(*lens.displacement)) / reach
+    for q, wave in zip(question.q, question.optics.waves(question.scene.wavelengths), strict=True):
+        aside = np.hypot(*(rim_centre(pupil, wave, q) - np.array(lens.displacement)))
+        found = max(found, 3 * aside / reach + 7.5 * (rim_radius(pupil, wave, q) / reach) ** 2)
+    return float(found)
 
 
 def _image_error(outside, question, reach):
