@@ -167,6 +167,8 @@ def rim_of(distortion: Model, shape: tuple[int, int], pitch: float) -> int:
         flux = 1 / (a * d - b * c)
         return float(flux.max()), float((flux * _stretch(a, b, c, d)).max())
 
+    if min(shape) < RIMS[0]:
+        return 0  # most of what a blur brings in would lie beyond the lens's picture
     try:
         flux, ratio = look(0)
         if abs(flux - 1) < 1e-12 and abs(ratio - 1) < 1e-12:
@@ -176,10 +178,13 @@ def rim_of(distortion: Model, shape: tuple[int, int], pitch: float) -> int:
     for rim in RIMS:
         try:
             brighter, wider = look(rim)
+            if brighter > STEEPEST * flux or wider > max(0.9 * RATIO_TO_REPORT, ratio):
+                continue
+            rows, cols = (n + 2 * rim for n in shape)
+            distortion_grid(distortion, (rows, cols), pitch, shape)
         except OutOfRange:
             continue
-        if brighter <= STEEPEST * flux and wider <= max(0.9 * RATIO_TO_REPORT, ratio):
-            return rim
+        return rim
     return 0
 
 

@@ -77,12 +77,19 @@ def test_views_next_to_one_bright_sample(view):
 
 
 def test_a_calibrated_lens_in_a_tiny_frame():
-    """Between few nodes a grid errs, in places and in brightness."""
+    """Between few nodes a grid errs, in places and in brightness.
+
+    The truth has no answer to what lies around so small a frame: the rule of the border continues the distorted
+    picture in both, which the plan says as an error of its own.
+    """
     values = np.linspace(1, 3, 6)[:, None] * np.linspace(1.2, 1, 5)
     calibration = gs.Calibration(5, 6, 8.0, 8.0, 2.0, 2.5, (-0.18, 0.05, 0.0, 0.0))
     camera = replace(
         gs.open_camera("mono"),
         optics=Optics(40.0, 16e-3, relative_illumination="none", distortion=calibration),
     )
-    error, promise = error_and_promise(gs.Simulator(camera, device="numpy"), scene_of(values))
-    assert error < promise < 1e-2
+    simulator = gs.Simulator(camera, device="numpy")
+    error, _ = error_and_promise(simulator, scene_of(values))
+    bounds = simulator.plan(scene_of(values)).account.bounds
+    promise = SAFETY * np.hypot(*(bounds[name].rms for name in ("distortion", "distortion grid")))
+    assert error < promise < 1e-2 and bounds["distorted border"].rms > 0.1
