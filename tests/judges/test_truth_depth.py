@@ -46,11 +46,12 @@ def distance_at(optics, waves):
     [
         ({}, None, {}),
         ({"pupil": Pupil(0, 0.3)}, None, {"hole": 0.3}),
-        ({"pupil": Pupil(6)}, None, {"blades": 6}),
-        (
+        pytest.param({"pupil": Pupil(6)}, None, {"blades": 6}, marks=pytest.mark.slow),
+        pytest.param(
             {"wavefront": Wavefront(seidel=(0, 0.5, 0, 0, 0))},
             lambda x, y, place: 0.5 * (x * x + y * y) * (x * place[1] + y * place[0]),
             {},
+            marks=pytest.mark.slow,
         ),
     ],
 )
