@@ -6,6 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from gpusim.domain.account import Bound
+from gpusim.domain.calibration import Framed
 from gpusim.domain.errors import BadData
 from gpusim.optics.highlights import (
     MOST,
@@ -204,7 +205,9 @@ def _split_off(question, brightness):
     spots, spot = np.unique(every, axis=0, return_inverse=True)
     if len(spots) > MOST_SPOTS:
         return content, None
-    return rest, replace(made, places=places, spot=spot.ravel().astype(np.int32), spots=spots)
+    strength = made.strength * _flux_of_points(question, made.places - middle)
+    spot = spot.ravel().astype(np.int32)
+    return rest, replace(made, places=places, strength=strength, spot=spot, spots=spots)
 
 
 def _image_places(question, at):
@@ -215,6 +218,24 @@ def _image_places(question, at):
     y, x = at.T * (question.pitch / distortion.radius)
     x, y = distortion.distort(x, y)
     return np.stack([y, x], axis=1) * (distortion.radius / question.pitch)
+
+
+def _flux_of_points(question, at) -> np.ndarray | float:
+    """Factor of the light of samples at (rows, cols) from the frame's middle, both (N, 2) [sample].
+
+    A point keeps its energy. If a relative illumination is given, flat fields stay flat instead, see
+    `DistortionGrid`: a point is the brighter the larger the lens shows its surroundings.
+    """
+    model = question.distortion
+    if model is None or isinstance(question.optics.relative_illumination, str):
+        return 1.0
+    places = at[:, ::-1].T * (question.pitch / model.radius)
+    axis = model.middle if isinstance(model, Framed) else (0.0, 0.0)
+    areas = []
+    for x, y in (places, np.array(axis)[:, None]):
+        a, b, c, d = model.derivative(x, y)
+        areas.append(a * d - b * c)
+    return areas[0] / areas[1]
 
 
 def can_be_split(question: Question) -> bool:
