@@ -348,7 +348,7 @@ class _Steps:
             )
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
-            self._add_uniform_blur(chain, None, plan.scene.margin - self.blur.spare)
+            self._add_uniform_blur(chain, None, self.margin - self.blur.spare)
         if self.varying is not None and self.depth is None:
             tables = self._add_field_tables(chain)
             chain.add(
@@ -384,7 +384,7 @@ class _Steps:
                 "count": self.count,
                 "channels": self.channels,
                 "shape": self.plan.content.shape,
-                "margin": self.plan.scene.margin - self.blur.spare,
+                "margin": self.margin - self.blur.spare,
             }
         step = Step(
             name,
