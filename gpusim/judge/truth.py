@@ -121,8 +121,8 @@ def _electrons(camera, scene, exposure_time, parts):
     gain = exposure_time * falloff_gain(camera, scene)
     y, x = np.indices(scene.shape)
     channel = cfa[y % cfa.shape[0], x % cfa.shape[1]]
-    found = []
     flats = flat_fields(camera, scene, within)
+    found = []
     for part, own, flat in zip(parts, wanted, flats, strict=True):
         electrons = gain[part] / flat * own
         if not camera.sensor.stacked:

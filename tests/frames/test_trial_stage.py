@@ -83,7 +83,7 @@ LINES = {  # file: (the line after which they go, lines)
 """,
     ),
     "gpusim/judge/truth.py": (
-        "    found = []\n    for part, own in zip(parts, wanted, strict=True):\n",
+        "    found = []\n    for part, own, flat in zip(parts, wanted, flats, strict=True):\n",
         None,  # see `TRUTH`
     ),
 }
