@@ -381,7 +381,9 @@ def test_a_frame_by_depth(device, tmp_path):
         > 1e-3
     )
     assert not any("depth" in line for line in frame.report.left_out)
-    assert frame.report.error.rms < 1e-3  # the tolerance; the reference has the same layers
+    # the truth sees layers by rays and continues what is hidden by itself: the account's bound holds for the difference
+    assert frame.report.error.rms < frame.report.account.total.rms
+    assert not frame.report.verdict.is_met
 
 
 def test_depth_that_cannot_be_used_is_named():
