@@ -23,7 +23,7 @@ from gpusim.kernels.sensor.noise import check_drawn
 from gpusim.optics.labels import carry_labels
 from gpusim.pipeline.developer import Developer, rendering_name
 from gpusim.pipeline.frame import Frame, Parts
-from gpusim.pipeline.imaging import return_none
+from gpusim.pipeline.light import return_none
 from gpusim.pipeline.metering import metering_steps
 from gpusim.pipeline.readout import Readout, flag_pixels
 from gpusim.pipeline.report import Error, Report, StageReport

@@ -7,42 +7,50 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.color.shading import phase_gains, relative_response, shading_gains
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content, Picture
 from gpusim.domain.errors import BadData
 from gpusim.domain.mosaics import bin_mosaic
-from gpusim.domain.scene import View
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.fft import pitch_of, room
-from gpusim.kernels.optics.blur import BATCH, blur
-from gpusim.kernels.optics.composite import composite
-from gpusim.kernels.optics.distort import distort
-from gpusim.kernels.optics.falloff import falloff
-from gpusim.kernels.optics.far import far
-from gpusim.kernels.optics.field import field, transfer
-from gpusim.kernels.optics.occlude import occlude
-from gpusim.kernels.optics.sample import sample
-from gpusim.kernels.optics.splat import splat
-from gpusim.kernels.sensor.bin import bin as bin_pixels
-from gpusim.kernels.sensor.collect import collect
-from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.depth import DepthPlan, flatten
+from gpusim.kernels.optics.blur import BATCH
+from gpusim.optics.depth import DepthPlan
 from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
-from gpusim.optics.geometry import DistortionGrid, evening, view_nodes
+from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import (
     Highlights,
-    PointKernels,
-    has_airy_kernels,
-    lens_kernels,
-    mixed_kernels,
-    point_kernels,
 )
 from gpusim.optics.lengths import Tiling
-from gpusim.optics.lens import lens_of, open_lens
+from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache
-from gpusim.pipeline.reading import WHOLE, planes, store
+from gpusim.pipeline.layers import composite_layers
+from gpusim.pipeline.light import (
+    PLAIN_MOSAIC,
+    add_far,
+    add_field,
+    add_highlights,
+    as_one_plane,
+    collect_layers,
+    crop_margin,
+    dim_planes,
+    even_samples,
+    make_depth_field_tables,
+    make_field_tables,
+    make_planes,
+    make_point_kernels,
+    make_shading,
+    mix_lights,
+    no_zoom,
+    pass_on,
+    place_layers,
+    place_planes,
+    place_samples,
+    return_none,
+    store_content,
+    zoom_of,
+)
+from gpusim.pipeline.reading import planes, store
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.choices import Blur, Falloff, Fusion, Planes, Sampling
@@ -50,7 +58,6 @@ from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
 BY_SCIPY = "on a CPU SciPy's transforms are faster than the kernels'"
-PLAIN_MOSAIC = np.zeros((1, 1), np.int32)
 
 
 class Imaging:
@@ -739,493 +746,3 @@ def _placing_constants(plan):
         "shape": plan.content.shape,
         "ratio": plan.scene.samples_per_pixel,
     }
-
-
-def store_content(content, *, window=WHOLE, device) -> tuple:
-    """Return a content's samples on the device: entries, and the label of each sample or None."""
-    return store(device, content, window)
-
-
-def make_planes(stored, *, table, device) -> Any:
-    """Return planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
-    return planes(device, table, stored)
-
-
-def place_samples(view: View, **constants) -> Any:
-    """Return the positions of the samples after the lens and a view, a device array for `place_planes`.
-
-    constants: see `_placing_constants`, and the device.
-    """
-    return place_layers(view, **constants)[0]
-
-
-def place_layers(view: View, *, grid, seen, shape, ratio, device) -> tuple:
-    """Return the positions of light, and those of coverage, which has no flux factor: arrays for `optics.distort`."""
-    if view.is_plain and grid is not None:
-        nodes = grid.nodes
-    else:
-        nodes = view_nodes(view, grid, seen, shape, ratio)
-    cover = nodes.copy()
-    cover[..., 2] = 1
-    return device.array(nodes[None]), device.array(cover[None])
-
-
-def zoom_of(view: View) -> float:
-    """Return the zoom of a view."""
-    return view.zoom
-
-
-def no_zoom(view: View) -> float:
-    """Return 1: the positions include the zoom."""
-    return 1.0
-
-
-def mix_lights(*, weights, table, spectra) -> np.ndarray:
-    """Return the weight of each plane before the blur in each channel, (C, planes)."""
-    light = weights @ spectra.T
-    return light if table is None else np.linalg.lstsq(table.T, light.T, rcond=None)[0].T
-
-
-def even_samples(view: View, *, grid, seen, shape, ratio, device) -> Any:
-    """Return the gains (1, rows, cols) that keep flat fields flat after `place_planes` by area."""
-    return device.array(evening(view_nodes(view, grid, seen, shape, ratio), seen)[None])
-
-
-def place_planes(
-    planes_, places, lights, zoom, gains=None, *, seen, border, by_area, device
-) -> Any:
-    """Return planes distorted by the lens and the view.
-
-    lights: see `mix_lights`, or None for channels. gains: see `even_samples`.
-    """
-    if by_area and gains is not None:
-        return falloff(
-            distort(planes_, places, seen, border, "area", 1.0, device=device), gains, device=device
-        )
-    if by_area:
-        return distort(planes_, places, seen, border, "area", zoom**2, device=device)
-    light = planes_
-    if lights is not None:
-        light = integrate(planes_, lights.astype(np.float32), device=device)
-    return distort(planes_, places, seen, border, light=light, device=device)
-
-
-def add_far(rates, planes_, *, model, mix, transfers, cfa, margin, device) -> Any:
-    """Add the light from far away to rates. model: see `gpusim.planner.knobs.farfield.FarField`."""
-    return far(
-        rates,
-        planes_,
-        model.weights(mix, transfers),
-        model.sigmas,
-        cfa,
-        model.border,
-        margin=margin,
-        spacings=model.spacings,
-        device=device,
-    )
-
-
-def make_field_tables(*, varying, device) -> tuple:
-    """Return the inputs of `optics.field` on the device, and its transfer tables."""
-    inputs = _field_inputs(varying.stage_inputs, device)
-    return inputs, transfer(device, varying.kernels, varying.edges)
-
-
-def _field_inputs(inputs, device):
-    """Return inputs of `optics.field`. Edges and indices are read on the host, the others are on the device."""
-    return {
-        name: value if name in ("edges", "index") else device.array(value)
-        for name, value in inputs.items()
-    }
-
-
-def make_depth_field_tables(*, varying, count, channels, shape, margin, device) -> tuple:
-    """Return what `make_field_tables` does for each kernel of a blur by depth.
-
-    Returns:
-        For each kernel: inputs and tables of the planes, those of the coverage in each channel, and the gain by which
-        coverage of an even surface at this distance remains 1, (channels, rows, cols).
-    """
-    inputs = varying.stage_inputs
-    kernels = inputs.pop("kernels")
-    inputs = _field_inputs(inputs, device)
-    ones = device.array(np.ones((channels, *shape), np.float32))
-    eye, found = np.eye(channels, dtype=np.float32), []
-    for first in range(0, kernels.shape[1], count + channels):
-        parts = []
-        for some in (slice(first, first + count), slice(first + count, first + count + channels)):
-            own = np.ascontiguousarray(kernels[:, some])
-            parts.append(
-                (inputs | {"kernels": device.array(own)}, transfer(device, own, varying.edges))
-            )
-        more = add_field(None, ones, parts[1], mix=eye, border="edge", margin=margin, device=device)
-        parts.append(device.array(1 / (1 + np.asarray(device.numpy(more)))))
-        found.append(tuple(parts))
-    return tuple(found)
-
-
-def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:
-    """Add the difference from the on-axis blur to channels blurred as on the axis, or to 0 if they are None."""
-    inputs, kernels = tables
-    return field(
-        planes_,
-        mix=mix,
-        border=border,
-        margin=margin,
-        base=rates,
-        tables=kernels,
-        device=device,
-        **inputs,
-    )
-
-
-def crop_margin(planes_, *, margin, samples, device) -> Any:
-    """Return planes without the margin on each side, if they have it. Weights of 1 change no value."""
-    if tuple(planes_.shape[1:]) == tuple(samples):
-        return planes_
-    starts = [margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes_.shape[1:]]
-    weights = [np.ones((len(start), 1), np.float32) for start in starts]
-    return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=device)
-
-
-def pass_on(planes_, *, device) -> Any:
-    """Return the planes unchanged: they are the channels of the pixels."""
-    return planes_
-
-
-def as_one_plane(rates, *, device) -> Any:
-    """Return a mosaic (rows, cols) as planes (1, rows, cols)."""
-    return device.reshape(rates, (1, *rates.shape))
-
-
-def composite_layers(
-    planes_, places, lights, zoom, gains, varying, *, plan: Plan, tables: LensTables, border, device
-) -> Any:
-    """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
-
-    A layer's coverage is blurred in each channel with the channel's kernel for white in the scene's light. Objects
-    continue outside the frame even if no light comes from there. The lens and a view displace the part of a layer
-    that each kernel blurs, and its coverage; so distances are never interpolated.
-
-    places: see `place_layers`; None: nothing is displaced. lights, zoom, gains: see `place_planes`. varying: see
-    `make_depth_field_tables`; None: the blur is the same all over the field.
-    """
-    depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
-    assert depth is not None and form is not None
-    table = made and made.table
-    channels, margin = len(plan.weights), plan.scene.margin - form.spare
-    beyond = "edge" if border == "zero" else border  # of coverage
-    eye, placing = np.eye(channels, dtype=np.float32), None
-    if places is not None:
-        placing = _Placing(places, lights, zoom, gains, plan.content.shape, border, beyond, device)
-        picture = flatten(plan.scene)[0] if depth.sheets else None
-        seen = planes_ if picture is None else planes(device, table, store(device, picture))
-    alphas, layers, blurred, sharp = [], [], [], []
-    for layer in range(depth.layers):
-        content, coverage, confusion = depth.sheet(layer, plan.content)
-        own = planes_
-        if content is not plan.content:
-            own = planes(device, table, store(device, content))
-        if placing is not None:
-            placing.limit(seen, own)
-        for kernel, share in depth.shares(coverage, confusion):
-            of_planes, of_white = tables.at_distance(plan, kernel)
-            cover = device.array(share[None])
-            light = falloff(own, cover, device=device)
-            if placing is not None:
-                light, cover = placing.place(light, cover)
-            blurred_light = blur(
-                light,
-                of_planes,
-                form.mix,
-                border,
-                form.period,
-                margin=margin,
-                device=device,
-            )
-            alpha = blur(
-                cover,
-                of_white,
-                np.ones((channels, 1), np.float32),
-                beyond,
-                form.period,
-                margin=margin,
-                device=device,
-            )
-            if varying is not None:
-                of_light, of_cover, gain = varying[kernel]
-                blurred_light = add_field(
-                    blurred_light,
-                    light,
-                    of_light,
-                    mix=form.mix,
-                    border=border,
-                    margin=margin,
-                    device=device,
-                )
-                alpha = add_field(
-                    alpha,
-                    device.reshape(device.stack([cover] * channels), (channels, *cover.shape[1:])),
-                    of_cover,
-                    mix=eye,
-                    border=beyond,
-                    margin=margin,
-                    device=device,
-                )
-                alpha = falloff(alpha, gain, device=device)
-            blurred.append(blurred_light)
-            alphas.append(alpha)
-            layers.append(depth.groups[layer])
-            sharp.append(sharpen(light, cover, plan, device))
-    composed = composite(device.stack(blurred), device.stack(alphas), layers, device=device)
-    if depth.occlusion is None:
-        return composed
-    groups = _Groups(blurred, alphas, sharp, layers, plan, border, device)
-    return groups.occlude(groups.diffract(composed, tables), tables)
-
-
-def sharpen(light, cover, plan: Plan, device) -> Any:
-    """Return planes as channels without blur, and their coverage; None if no light is summed over the pupil."""
-    depth, form, fusion = plan.find(DepthPlan), plan.find(Blur), plan.find(Fusion)
-    assert depth is not None and form is not None
-    if depth.occlusion is None:
-        return None
-    flat = plan.flat if fusion is None else fusion.transfers @ plan.flat
-    return integrate(light, (form.mix * flat).astype(np.float32), device=device), cover
-
-
-class _Groups:
-    """Layers that are composed, blurred and sharp: sums of their parts. See `composite_layers`."""
-
-    def __init__(self, lights, alphas, sharp, layers, plan, border, device):
-        self._plan, self._border, self._device = plan, border, device
-        self._depth, form = plan.find(DepthPlan), plan.find(Blur)
-        self._margin, self._period = plan.scene.margin - form.spare, form.period
-        self._count = layers[-1] + 1
-
-        def sums(arrays):
-            return [
-                _sum([one for one, its in zip(arrays, layers, strict=True) if its == group], device)
-                for group in range(self._count)
-            ]
-
-        self._blurred = list(zip(sums(lights), sums(alphas), strict=True))
-        covers = sums([cover for _, cover in sharp])
-        self._sharp = list(zip(sums([light for light, _ in sharp]), covers, strict=True))
-
-    def occlude(self, composed, tables):
-        """Return composed channels with the sum over the pupil where several layers are out of focus.
-
-        Its change is of rays, and is blurred by diffraction.
-        """
-        found, device = self._depth.occlusion, self._device
-        places, members, radii = found.within(self._margin, composed.shape[1:])
-        if not len(places):
-            return composed
-        changed = occlude(
-            composed,
-            device.stack([light for light, _ in self._sharp]),
-            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
-            places,
-            members,
-            radii,
-            found.points,
-            self._border,
-            margin=self._margin,
-            device=device,
-        )
-        _, smooth = tables.in_focus(self._plan)
-        change = self._spread(_mix([(1, changed), (-1, composed)], device), smooth)
-        return _mix([(1, composed), (1, change)], device)
-
-    def diffract(self, composed, tables):
-        """Return composed channels with what diffraction in focus blurs of products, not of their factors.
-
-        With K that blur, a the coverage of a layer and L the light behind it, K ((1 - a) L) is added
-        and (1 - K a) K L taken away.
-        """
-        found, device = self._depth.occlusion, self._device
-        if not found.is_diffracted:
-            return composed
-        sampled, smooth = tables.in_focus(self._plan)
-        is_sharp, behind, more = False, None, None
-        for group in range(self._count - 1, -1, -1):
-            light, alpha = self._blurred[group]
-            cover = alpha
-            if group in found.sharp:
-                shape = composed.shape[1:]
-                light, alpha = (self._crop(one, shape) for one in self._sharp[group])
-                is_sharp = True
-            if behind is not None:
-                table = sampled if is_sharp else smooth
-                hidden = falloff(behind, alpha, device=device)
-                product = falloff(
-                    self._spread(behind, table), self._spread(alpha, table), device=device
-                )
-                change = [(-1, self._spread(hidden, table)), (1, product)]
-                if more is not None:
-                    change += [(1, more), (-1, falloff(more, cover, device=device))]
-                more = _mix(change, device)
-                light = _mix([(1, light), (1, behind), (-1, hidden)], device)
-            behind = light
-        return _mix([(1, composed), (1, more)], device)
-
-    def _spread(self, fields, table):
-        """Return fields, one of each channel or one of all, blurred in focus."""
-        channels, one = table.shape[0], fields.shape[0] == 1
-        if not one:
-            table = self._device.reshape(table, (1, channels, *table.shape[2:]))
-        mix = np.ones((channels, 1), np.float32) if one else np.eye(channels, dtype=np.float32)
-        return blur(fields, table, mix, "edge", self._period, device=self._device)
-
-    def _crop(self, planes_, shape):
-        """Return planes in the frame of the blurred ones; samples beyond them go on at the edge."""
-        starts = [
-            np.clip(self._margin + np.arange(size), 0, whole - 1).astype(np.int32)
-            for size, whole in zip(shape, planes_.shape[1:], strict=True)
-        ]
-        weights = [np.ones((size, 1), np.float32) for size in shape]
-        return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=self._device)
-
-
-def _sum(arrays, device):
-    """Return the sum of arrays (planes, rows, cols)."""
-    return _mix([(1, one) for one in arrays], device) if len(arrays) > 1 else arrays[0]
-
-
-def _mix(terms, device):
-    """Return the sum of arrays (planes, rows, cols) times numbers: pairs (number, array)."""
-    numbers, arrays = zip(*terms, strict=True)
-    count, rows, cols = arrays[0].shape
-    every = device.reshape(device.stack(arrays), (len(arrays), count * rows, cols))
-    mixed = integrate(every, np.array([numbers], np.float32), device=device)
-    return device.reshape(mixed, (count, rows, cols))
-
-
-class _Placing:
-    """Displaces parts of layers and their coverage. See `composite_layers`."""
-
-    def __init__(self, places, lights, zoom, gains, shape, border, beyond, device):
-        self._places, self._lights = places, lights
-        self._evening, self._density = gains, 1.0 if gains is not None else zoom**2
-        self._shape, self._border, self._beyond, self._device = shape, border, beyond, device
-        self._limits = self._gain = None
-        if lights is None:  # by area: what covers all remains 1
-            ones = np.ones((1, *shape), np.float32)
-            whole = distort(ones, places[1], shape, beyond, "area", device=device)
-            self._gain = device.array(1 / np.asarray(device.numpy(whole)))
-
-    def limit(self, seen, own):
-        """Take by area, of the layer with the planes `own`, all samples next to which cubics would fall below 0.
-
-        seen: planes of the picture without blur. A part of a surface falls below 0 at its edges, but their sum
-        does not.
-        """
-        if self._lights is None:
-            return
-        table, device = self._lights.astype(np.float32), self._device
-        self._limits = integrate(seen, table, device=device)
-        if own is not seen:
-            both = device.stack([self._limits, integrate(own, table, device=device)])
-            self._limits = device.reshape(both, (2 * len(table), *both.shape[2:]))
-
-    def place(self, light, cover):
-        """Return planes of light, and a coverage (1, rows, cols), displaced."""
-        (of_light, of_cover), shape, device = self._places, self._shape, self._device
-        if self._lights is None:
-            light = distort(
-                light, of_light, shape, self._border, "area", self._density, device=device
-            )
-            if self._evening is not None:
-                light = falloff(light, self._evening, device=device)
-            cover = distort(cover, of_cover, shape, self._beyond, "area", device=device)
-            return light, falloff(cover, self._gain, device=device)
-        limits = self._limits
-        light = distort(light, of_light, shape, self._border, light=limits, device=device)
-        return light, distort(cover, of_cover, shape, self._beyond, light=limits, device=device)
-
-
-def make_point_kernels(
-    *, optics, pitch, aperture, shape, displacement, q, wavelengths, spots, core, reach
-) -> PointKernels:
-    """Return the kernels of points behind a lens: see `gpusim.optics.highlights`."""
-    lens = open_lens(optics, pitch, aperture, shape, displacement)
-    if has_airy_kernels(lens) and not spots.any():
-        return point_kernels(q, aperture[0], reach)
-    return lens_kernels(lens, wavelengths, spots, core, reach)
-
-
-def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:
-    """Add highlights to the mosaic, or to each channel of the samples. weights: of the wavelengths, (C, L)."""
-    index, made = mixed_kernels(kernels, lights, weights)
-    places = np.column_stack([lights.places + spare, index, lights.reach]).astype(np.int32)
-    by_channel = ("cores", "profiles", "streaks", "corners")
-    if cfa is None:
-        return device.stack(
-            [
-                splat(
-                    device.part(rates, c),
-                    PLAIN_MOSAIC,
-                    places,
-                    lights.strength,
-                    **{
-                        name: value[:, [c]] if name in by_channel else value
-                        for name, value in made.items()
-                    },
-                    device=device,
-                )
-                for c in range(rates.shape[0])
-            ]
-        )
-    made = {
-        name: device.array(value) if isinstance(value, np.ndarray) else value
-        for name, value in made.items()
-    }
-    return splat(
-        rates,
-        device.array(cfa, np.int32),
-        device.array(places, np.int32),
-        device.array(lights.strength),
-        **made,
-        device=device,
-    )
-
-
-def dim_planes(planes_, *, gains, device) -> Any:
-    """Return planes times a gain of each pixel (rows, cols)."""
-    return falloff(planes_, device.array(gains[None]), device=device)
-
-
-def collect_layers(channels, *, slope, exposure_time, device) -> Any:
-    """Return the electrons of each channel (C, rows, cols), with fall-off, for an exposure time [s]."""
-    return device.stack(
-        [
-            collect(
-                channels,
-                np.full((1, 1), channel, np.int32),
-                exposure_time,
-                slope,
-                device=device,
-            )
-            for channel in range(channels.shape[0])
-        ]
-    )
-
-
-def return_none() -> None:
-    """Return None, for a value that this camera does not use."""
-
-
-def make_shading(
-    *, shape, slope, falloff, nodes, margin, field, binning, stride, by_charge, period, device
-) -> np.ndarray:
-    """Return the gains of the shading correction for each pixel of the mosaic's period, see `processor.shade`."""
-    response = relative_response(shape, slope, falloff, nodes, margin, field)
-    if binning == (1, 1):
-        return shading_gains(response, period[0] * period[1])
-    flat = device.array(response)
-    charge = bin_pixels(flat, binning=binning, stride=stride, average=False, device=device)
-    response = np.array(device.numpy(charge), np.float32)
-    if not by_charge:
-        response /= np.float32(prod(binning))
-    return phase_gains(response, period)[0]

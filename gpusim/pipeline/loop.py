@@ -30,7 +30,7 @@ from gpusim.pipeline.exposure import (
     picture_steps,
 )
 from gpusim.pipeline.frame import Frame
-from gpusim.pipeline.imaging import store_content
+from gpusim.pipeline.light import store_content
 from gpusim.pipeline.metering import choose_exposure, metering_numbers
 from gpusim.pipeline.planning import (
     check_given,

@@ -10,7 +10,7 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.memory import type_of
 from gpusim.kernels.spectral.survey import survey
 from gpusim.optics.highlights import Highlights
-from gpusim.pipeline.imaging import store_content
+from gpusim.pipeline.light import store_content
 from gpusim.planner.choices import Planes
 
 

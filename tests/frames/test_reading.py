@@ -12,7 +12,7 @@ from gpusim.backends.tape import Tape, recording
 from gpusim.domain.content import Basis, Cube, Materials, Picture
 from gpusim.domain.memory import type_of
 from gpusim.pipeline import reading
-from gpusim.pipeline.imaging import store_content
+from gpusim.pipeline.light import store_content
 from gpusim.pipeline.reading import Reading, store
 
 WAVELENGTHS = np.linspace(400, 700, 31)

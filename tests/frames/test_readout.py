@@ -25,7 +25,7 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.measure import merge_inputs
-from gpusim.pipeline import imaging
+from gpusim.pipeline import light
 from gpusim.pipeline.simulator import Simulator
 
 Z = 4.5
@@ -380,8 +380,8 @@ def test_noise_off_is_the_mean_rounded():
 
 def counting(monkeypatch):
     """List that grows by one each time the optics is computed."""
-    calls, planes = [], imaging.planes
-    monkeypatch.setattr(imaging, "planes", lambda *given: calls.append(1) or planes(*given))
+    calls, planes = [], light.planes
+    monkeypatch.setattr(light, "planes", lambda *given: calls.append(1) or planes(*given))
     return calls
 
 

@@ -1,0 +1,266 @@
+"""Layers by depth: each blurred for its distance, and laid over the farther ones."""
+
+from typing import Any
+
+import numpy as np
+
+from gpusim.kernels.optics.blur import blur
+from gpusim.kernels.optics.composite import composite
+from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.falloff import falloff
+from gpusim.kernels.optics.occlude import occlude
+from gpusim.kernels.optics.sample import sample
+from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.depth import DepthPlan, flatten
+from gpusim.pipeline.light import add_field
+from gpusim.pipeline.reading import planes, store
+from gpusim.pipeline.tables import LensTables
+from gpusim.planner.choices import Blur, Fusion, Planes
+from gpusim.planner.plan import Plan
+
+
+def composite_layers(
+    planes_, places, lights, zoom, gains, varying, *, plan: Plan, tables: LensTables, border, device
+) -> Any:
+    """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
+
+    A layer's coverage is blurred in each channel with the channel's kernel for white in the scene's light. Objects
+    continue outside the frame even if no light comes from there. The lens and a view displace the part of a layer
+    that each kernel blurs, and its coverage; so distances are never interpolated.
+
+    places: see `place_layers`; None: nothing is displaced. lights, zoom, gains: see `place_planes`. varying: see
+    `make_depth_field_tables`; None: the blur is the same all over the field.
+    """
+    depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
+    assert depth is not None and form is not None
+    table = made and made.table
+    channels, margin = len(plan.weights), plan.scene.margin - form.spare
+    beyond = "edge" if border == "zero" else border  # of coverage
+    eye, placing = np.eye(channels, dtype=np.float32), None
+    if places is not None:
+        placing = _Placing(places, lights, zoom, gains, plan.content.shape, border, beyond, device)
+        picture = flatten(plan.scene)[0] if depth.sheets else None
+        seen = planes_ if picture is None else planes(device, table, store(device, picture))
+    alphas, layers, blurred, sharp = [], [], [], []
+    for layer in range(depth.layers):
+        content, coverage, confusion = depth.sheet(layer, plan.content)
+        own = planes_
+        if content is not plan.content:
+            own = planes(device, table, store(device, content))
+        if placing is not None:
+            placing.limit(seen, own)
+        for kernel, share in depth.shares(coverage, confusion):
+            of_planes, of_white = tables.at_distance(plan, kernel)
+            cover = device.array(share[None])
+            light = falloff(own, cover, device=device)
+            if placing is not None:
+                light, cover = placing.place(light, cover)
+            blurred_light = blur(
+                light,
+                of_planes,
+                form.mix,
+                border,
+                form.period,
+                margin=margin,
+                device=device,
+            )
+            alpha = blur(
+                cover,
+                of_white,
+                np.ones((channels, 1), np.float32),
+                beyond,
+                form.period,
+                margin=margin,
+                device=device,
+            )
+            if varying is not None:
+                of_light, of_cover, gain = varying[kernel]
+                blurred_light = add_field(
+                    blurred_light,
+                    light,
+                    of_light,
+                    mix=form.mix,
+                    border=border,
+                    margin=margin,
+                    device=device,
+                )
+                alpha = add_field(
+                    alpha,
+                    device.reshape(device.stack([cover] * channels), (channels, *cover.shape[1:])),
+                    of_cover,
+                    mix=eye,
+                    border=beyond,
+                    margin=margin,
+                    device=device,
+                )
+                alpha = falloff(alpha, gain, device=device)
+            blurred.append(blurred_light)
+            alphas.append(alpha)
+            layers.append(depth.groups[layer])
+            sharp.append(sharpen(light, cover, plan, device))
+    composed = composite(device.stack(blurred), device.stack(alphas), layers, device=device)
+    if depth.occlusion is None:
+        return composed
+    groups = _Groups(blurred, alphas, sharp, layers, plan, border, device)
+    return groups.occlude(groups.diffract(composed, tables), tables)
+
+
+def sharpen(light, cover, plan: Plan, device) -> Any:
+    """Return planes as channels without blur, and their coverage; None if no light is summed over the pupil."""
+    depth, form, fusion = plan.find(DepthPlan), plan.find(Blur), plan.find(Fusion)
+    assert depth is not None and form is not None
+    if depth.occlusion is None:
+        return None
+    flat = plan.flat if fusion is None else fusion.transfers @ plan.flat
+    return integrate(light, (form.mix * flat).astype(np.float32), device=device), cover
+
+
+class _Groups:
+    """Layers that are composed, blurred and sharp: sums of their parts. See `composite_layers`."""
+
+    def __init__(self, lights, alphas, sharp, layers, plan, border, device):
+        self._plan, self._border, self._device = plan, border, device
+        self._depth, form = plan.find(DepthPlan), plan.find(Blur)
+        self._margin, self._period = plan.scene.margin - form.spare, form.period
+        self._count = layers[-1] + 1
+
+        def sums(arrays):
+            return [
+                _sum([one for one, its in zip(arrays, layers, strict=True) if its == group], device)
+                for group in range(self._count)
+            ]
+
+        self._blurred = list(zip(sums(lights), sums(alphas), strict=True))
+        covers = sums([cover for _, cover in sharp])
+        self._sharp = list(zip(sums([light for light, _ in sharp]), covers, strict=True))
+
+    def occlude(self, composed, tables):
+        """Return composed channels with the sum over the pupil where several layers are out of focus.
+
+        Its change is of rays, and is blurred by diffraction.
+        """
+        found, device = self._depth.occlusion, self._device
+        places, members, radii = found.within(self._margin, composed.shape[1:])
+        if not len(places):
+            return composed
+        changed = occlude(
+            composed,
+            device.stack([light for light, _ in self._sharp]),
+            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
+            places,
+            members,
+            radii,
+            found.points,
+            self._border,
+            margin=self._margin,
+            device=device,
+        )
+        _, smooth = tables.in_focus(self._plan)
+        change = self._spread(_mix([(1, changed), (-1, composed)], device), smooth)
+        return _mix([(1, composed), (1, change)], device)
+
+    def diffract(self, composed, tables):
+        """Return composed channels with what diffraction in focus blurs of products, not of their factors.
+
+        With K that blur, a the coverage of a layer and L the light behind it, K ((1 - a) L) is added
+        and (1 - K a) K L taken away.
+        """
+        found, device = self._depth.occlusion, self._device
+        if not found.is_diffracted:
+            return composed
+        sampled, smooth = tables.in_focus(self._plan)
+        is_sharp, behind, more = False, None, None
+        for group in range(self._count - 1, -1, -1):
+            light, alpha = self._blurred[group]
+            cover = alpha
+            if group in found.sharp:
+                shape = composed.shape[1:]
+                light, alpha = (self._crop(one, shape) for one in self._sharp[group])
+                is_sharp = True
+            if behind is not None:
+                table = sampled if is_sharp else smooth
+                hidden = falloff(behind, alpha, device=device)
+                product = falloff(
+                    self._spread(behind, table), self._spread(alpha, table), device=device
+                )
+                change = [(-1, self._spread(hidden, table)), (1, product)]
+                if more is not None:
+                    change += [(1, more), (-1, falloff(more, cover, device=device))]
+                more = _mix(change, device)
+                light = _mix([(1, light), (1, behind), (-1, hidden)], device)
+            behind = light
+        return _mix([(1, composed), (1, more)], device)
+
+    def _spread(self, fields, table):
+        """Return fields, one of each channel or one of all, blurred in focus."""
+        channels, one = table.shape[0], fields.shape[0] == 1
+        if not one:
+            table = self._device.reshape(table, (1, channels, *table.shape[2:]))
+        mix = np.ones((channels, 1), np.float32) if one else np.eye(channels, dtype=np.float32)
+        return blur(fields, table, mix, "edge", self._period, device=self._device)
+
+    def _crop(self, planes_, shape):
+        """Return planes in the frame of the blurred ones; samples beyond them go on at the edge."""
+        starts = [
+            np.clip(self._margin + np.arange(size), 0, whole - 1).astype(np.int32)
+            for size, whole in zip(shape, planes_.shape[1:], strict=True)
+        ]
+        weights = [np.ones((size, 1), np.float32) for size in shape]
+        return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=self._device)
+
+
+def _sum(arrays, device):
+    """Return the sum of arrays (planes, rows, cols)."""
+    return _mix([(1, one) for one in arrays], device) if len(arrays) > 1 else arrays[0]
+
+
+def _mix(terms, device):
+    """Return the sum of arrays (planes, rows, cols) times numbers: pairs (number, array)."""
+    numbers, arrays = zip(*terms, strict=True)
+    count, rows, cols = arrays[0].shape
+    every = device.reshape(device.stack(arrays), (len(arrays), count * rows, cols))
+    mixed = integrate(every, np.array([numbers], np.float32), device=device)
+    return device.reshape(mixed, (count, rows, cols))
+
+
+class _Placing:
+    """Displaces parts of layers and their coverage. See `composite_layers`."""
+
+    def __init__(self, places, lights, zoom, gains, shape, border, beyond, device):
+        self._places, self._lights = places, lights
+        self._evening, self._density = gains, 1.0 if gains is not None else zoom**2
+        self._shape, self._border, self._beyond, self._device = shape, border, beyond, device
+        self._limits = self._gain = None
+        if lights is None:  # by area: what covers all remains 1
+            ones = np.ones((1, *shape), np.float32)
+            whole = distort(ones, places[1], shape, beyond, "area", device=device)
+            self._gain = device.array(1 / np.asarray(device.numpy(whole)))
+
+    def limit(self, seen, own):
+        """Take by area, of the layer with the planes `own`, all samples next to which cubics would fall below 0.
+
+        seen: planes of the picture without blur. A part of a surface falls below 0 at its edges, but their sum
+        does not.
+        """
+        if self._lights is None:
+            return
+        table, device = self._lights.astype(np.float32), self._device
+        self._limits = integrate(seen, table, device=device)
+        if own is not seen:
+            both = device.stack([self._limits, integrate(own, table, device=device)])
+            self._limits = device.reshape(both, (2 * len(table), *both.shape[2:]))
+
+    def place(self, light, cover):
+        """Return planes of light, and a coverage (1, rows, cols), displaced."""
+        (of_light, of_cover), shape, device = self._places, self._shape, self._device
+        if self._lights is None:
+            light = distort(
+                light, of_light, shape, self._border, "area", self._density, device=device
+            )
+            if self._evening is not None:
+                light = falloff(light, self._evening, device=device)
+            cover = distort(cover, of_cover, shape, self._beyond, "area", device=device)
+            return light, falloff(cover, self._gain, device=device)
+        limits = self._limits
+        light = distort(light, of_light, shape, self._border, light=limits, device=device)
+        return light, distort(cover, of_cover, shape, self._beyond, light=limits, device=device)

@@ -1,0 +1,273 @@
+"""Functions of the steps from a scene's samples to mean electrons: see `gpusim.pipeline.imaging`."""
+
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from gpusim.color.shading import phase_gains, relative_response, shading_gains
+from gpusim.domain.scene import View
+from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.falloff import falloff
+from gpusim.kernels.optics.far import far
+from gpusim.kernels.optics.field import field, transfer
+from gpusim.kernels.optics.sample import sample
+from gpusim.kernels.optics.splat import splat
+from gpusim.kernels.sensor.bin import bin as bin_pixels
+from gpusim.kernels.sensor.collect import collect
+from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.geometry import evening, view_nodes
+from gpusim.optics.highlights import (
+    PointKernels,
+    has_airy_kernels,
+    lens_kernels,
+    mixed_kernels,
+    point_kernels,
+)
+from gpusim.optics.lens import open_lens
+from gpusim.pipeline.reading import WHOLE, planes, store
+
+PLAIN_MOSAIC = np.zeros((1, 1), np.int32)
+
+
+def store_content(content, *, window=WHOLE, device) -> tuple:
+    """Return a content's samples on the device: entries, and the label of each sample or None."""
+    return store(device, content, window)
+
+
+def make_planes(stored, *, table, device) -> Any:
+    """Return planes of stored samples by a table (planes, entries), before the blur; the entries themselves if None."""
+    return planes(device, table, stored)
+
+
+def place_samples(view: View, **constants) -> Any:
+    """Return the positions of the samples after the lens and a view, a device array for `place_planes`.
+
+    constants: see `_placing_constants`, and the device.
+    """
+    return place_layers(view, **constants)[0]
+
+
+def place_layers(view: View, *, grid, seen, shape, ratio, device) -> tuple:
+    """Return the positions of light, and those of coverage, which has no flux factor: arrays for `optics.distort`."""
+    if view.is_plain and grid is not None:
+        nodes = grid.nodes
+    else:
+        nodes = view_nodes(view, grid, seen, shape, ratio)
+    cover = nodes.copy()
+    cover[..., 2] = 1
+    return device.array(nodes[None]), device.array(cover[None])
+
+
+def zoom_of(view: View) -> float:
+    """Return the zoom of a view."""
+    return view.zoom
+
+
+def no_zoom(view: View) -> float:
+    """Return 1: the positions include the zoom."""
+    return 1.0
+
+
+def mix_lights(*, weights, table, spectra) -> np.ndarray:
+    """Return the weight of each plane before the blur in each channel, (C, planes)."""
+    light = weights @ spectra.T
+    return light if table is None else np.linalg.lstsq(table.T, light.T, rcond=None)[0].T
+
+
+def even_samples(view: View, *, grid, seen, shape, ratio, device) -> Any:
+    """Return the gains (1, rows, cols) that keep flat fields flat after `place_planes` by area."""
+    return device.array(evening(view_nodes(view, grid, seen, shape, ratio), seen)[None])
+
+
+def place_planes(
+    planes_, places, lights, zoom, gains=None, *, seen, border, by_area, device
+) -> Any:
+    """Return planes distorted by the lens and the view.
+
+    lights: see `mix_lights`, or None for channels. gains: see `even_samples`.
+    """
+    if by_area and gains is not None:
+        return falloff(
+            distort(planes_, places, seen, border, "area", 1.0, device=device), gains, device=device
+        )
+    if by_area:
+        return distort(planes_, places, seen, border, "area", zoom**2, device=device)
+    light = planes_
+    if lights is not None:
+        light = integrate(planes_, lights.astype(np.float32), device=device)
+    return distort(planes_, places, seen, border, light=light, device=device)
+
+
+def add_far(rates, planes_, *, model, mix, transfers, cfa, margin, device) -> Any:
+    """Add the light from far away to rates. model: see `gpusim.planner.knobs.farfield.FarField`."""
+    return far(
+        rates,
+        planes_,
+        model.weights(mix, transfers),
+        model.sigmas,
+        cfa,
+        model.border,
+        margin=margin,
+        spacings=model.spacings,
+        device=device,
+    )
+
+
+def make_field_tables(*, varying, device) -> tuple:
+    """Return the inputs of `optics.field` on the device, and its transfer tables."""
+    inputs = _field_inputs(varying.stage_inputs, device)
+    return inputs, transfer(device, varying.kernels, varying.edges)
+
+
+def _field_inputs(inputs, device):
+    """Return inputs of `optics.field`. Edges and indices are read on the host, the others are on the device."""
+    return {
+        name: value if name in ("edges", "index") else device.array(value)
+        for name, value in inputs.items()
+    }
+
+
+def make_depth_field_tables(*, varying, count, channels, shape, margin, device) -> tuple:
+    """Return what `make_field_tables` does for each kernel of a blur by depth.
+
+    Returns:
+        For each kernel: inputs and tables of the planes, those of the coverage in each channel, and the gain by which
+        coverage of an even surface at this distance remains 1, (channels, rows, cols).
+    """
+    inputs = varying.stage_inputs
+    kernels = inputs.pop("kernels")
+    inputs = _field_inputs(inputs, device)
+    ones = device.array(np.ones((channels, *shape), np.float32))
+    eye, found = np.eye(channels, dtype=np.float32), []
+    for first in range(0, kernels.shape[1], count + channels):
+        parts = []
+        for some in (slice(first, first + count), slice(first + count, first + count + channels)):
+            own = np.ascontiguousarray(kernels[:, some])
+            parts.append(
+                (inputs | {"kernels": device.array(own)}, transfer(device, own, varying.edges))
+            )
+        more = add_field(None, ones, parts[1], mix=eye, border="edge", margin=margin, device=device)
+        parts.append(device.array(1 / (1 + np.asarray(device.numpy(more)))))
+        found.append(tuple(parts))
+    return tuple(found)
+
+
+def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:
+    """Add the difference from the on-axis blur to channels blurred as on the axis, or to 0 if they are None."""
+    inputs, kernels = tables
+    return field(
+        planes_,
+        mix=mix,
+        border=border,
+        margin=margin,
+        base=rates,
+        tables=kernels,
+        device=device,
+        **inputs,
+    )
+
+
+def crop_margin(planes_, *, margin, samples, device) -> Any:
+    """Return planes without the margin on each side, if they have it. Weights of 1 change no value."""
+    if tuple(planes_.shape[1:]) == tuple(samples):
+        return planes_
+    starts = [margin + np.arange(size - 2 * margin, dtype=np.int32) for size in planes_.shape[1:]]
+    weights = [np.ones((len(start), 1), np.float32) for start in starts]
+    return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=device)
+
+
+def pass_on(planes_, *, device) -> Any:
+    """Return the planes unchanged: they are the channels of the pixels."""
+    return planes_
+
+
+def as_one_plane(rates, *, device) -> Any:
+    """Return a mosaic (rows, cols) as planes (1, rows, cols)."""
+    return device.reshape(rates, (1, *rates.shape))
+
+
+def make_point_kernels(
+    *, optics, pitch, aperture, shape, displacement, q, wavelengths, spots, core, reach
+) -> PointKernels:
+    """Return the kernels of points behind a lens: see `gpusim.optics.highlights`."""
+    lens = open_lens(optics, pitch, aperture, shape, displacement)
+    if has_airy_kernels(lens) and not spots.any():
+        return point_kernels(q, aperture[0], reach)
+    return lens_kernels(lens, wavelengths, spots, core, reach)
+
+
+def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> Any:
+    """Add highlights to the mosaic, or to each channel of the samples. weights: of the wavelengths, (C, L)."""
+    index, made = mixed_kernels(kernels, lights, weights)
+    places = np.column_stack([lights.places + spare, index, lights.reach]).astype(np.int32)
+    by_channel = ("cores", "profiles", "streaks", "corners")
+    if cfa is None:
+        return device.stack(
+            [
+                splat(
+                    device.part(rates, c),
+                    PLAIN_MOSAIC,
+                    places,
+                    lights.strength,
+                    **{
+                        name: value[:, [c]] if name in by_channel else value
+                        for name, value in made.items()
+                    },
+                    device=device,
+                )
+                for c in range(rates.shape[0])
+            ]
+        )
+    made = {
+        name: device.array(value) if isinstance(value, np.ndarray) else value
+        for name, value in made.items()
+    }
+    return splat(
+        rates,
+        device.array(cfa, np.int32),
+        device.array(places, np.int32),
+        device.array(lights.strength),
+        **made,
+        device=device,
+    )
+
+
+def dim_planes(planes_, *, gains, device) -> Any:
+    """Return planes times a gain of each pixel (rows, cols)."""
+    return falloff(planes_, device.array(gains[None]), device=device)
+
+
+def collect_layers(channels, *, slope, exposure_time, device) -> Any:
+    """Return the electrons of each channel (C, rows, cols), with fall-off, for an exposure time [s]."""
+    return device.stack(
+        [
+            collect(
+                channels,
+                np.full((1, 1), channel, np.int32),
+                exposure_time,
+                slope,
+                device=device,
+            )
+            for channel in range(channels.shape[0])
+        ]
+    )
+
+
+def return_none() -> None:
+    """Return None, for a value that this camera does not use."""
+
+
+def make_shading(
+    *, shape, slope, falloff, nodes, margin, field, binning, stride, by_charge, period, device
+) -> np.ndarray:
+    """Return the gains of the shading correction for each pixel of the mosaic's period, see `processor.shade`."""
+    response = relative_response(shape, slope, falloff, nodes, margin, field)
+    if binning == (1, 1):
+        return shading_gains(response, period[0] * period[1])
+    flat = device.array(response)
+    charge = bin_pixels(flat, binning=binning, stride=stride, average=False, device=device)
+    response = np.array(device.numpy(charge), np.float32)
+    if not by_charge:
+        response /= np.float32(prod(binning))
+    return phase_gains(response, period)[0]
