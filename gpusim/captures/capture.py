@@ -24,7 +24,7 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.kernels.sensor.chip import chip
 from gpusim.pipeline.exposure import Exposure, convert_to_xyz, expose_mean, make_frame, output_of
 from gpusim.pipeline.frame import Frame
-from gpusim.pipeline.loop import BEFORE_NOISE, Loop, checked_output
+from gpusim.pipeline.loop import BEFORE_NOISE, Loop, blurred_content, checked_output
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -75,7 +75,7 @@ class Capture:
         return self._merges and not self.merged
 
     @property
-    def frames_returned(self) -> int:
+    def frame_count(self) -> int:
         """Number of frames that `take` returns."""
         return self.count if self.has_frames else 1
 
@@ -254,7 +254,7 @@ class Light:
         return self.simulator.camera.sensor.row_time * (scene.shape[0] - 1)
 
     @cached_property
-    def metered(self) -> tuple[float, float]:
+    def time_and_gain(self) -> tuple[float, float]:
         """Exposure time [s] and analog gain of a frame in motion."""
         found = self._seconds or self.simulator.camera.sensor.exposure_time
         if found is not None:
@@ -279,7 +279,7 @@ class Light:
             if factor is None and own == self.rest.exposure_time:
                 return self.rest
             return change_exposure_time(self.simulator, self.rest, own)
-        metered, gain = self.metered if seconds is None else (seconds, self._gain)
+        metered, gain = self.time_and_gain if seconds is None else (seconds, self._gain)
         return expose_motion(
             self.simulator,
             self.scene,
@@ -299,7 +299,9 @@ class Light:
             raise Conflict("capture", reason, "take mean, or a scene at rest")
         simulator, exposure = self.simulator, shot.exposure
         imaging, plan = simulator.imaging, exposure.plan
-        values = imaging.values(plan)
+        assert isinstance(self.scene, Scene)  # actors move
+        values = imaging.values(plan, blurred_content(plan, self.scene))
+        values.give(view=self.scene.view)
         if name == "irradiance":
             values.use([*imaging.steps(plan), *imaging.irradiance_steps(plan)])
             return values[name]
@@ -325,7 +327,7 @@ class Shot:
     raw: Any = None
     is_timed: bool = True
 
-    def drawn(self) -> Any:
+    def draw_raw(self) -> Any:
         """Return the raw values, a device array, layers of stacked pixels below each other."""
         if self.raw is None:
             return self.exposure.raw(seed=self.seed, first=self.number)
@@ -336,7 +338,7 @@ class Shot:
         checked_output(name)
         if name in BEFORE_NOISE:
             return getattr(self.exposure, name)
-        drawn = self.drawn()
+        drawn = self.draw_raw()
         return drawn if name == "raw" else output_of(self.exposure.values(), name, raw=drawn)
 
     def frame(self) -> Frame:

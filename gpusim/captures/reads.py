@@ -43,7 +43,7 @@ class Reads(Capture):
             raise BadData("times of reads: none, wanted one or more")
 
     @property
-    def frames_returned(self) -> int:
+    def frame_count(self) -> int:
         """Number of frames that `take` returns."""
         return len(self.times) if self.has_frames else 1
 

@@ -103,7 +103,7 @@ class Path:
         return light / total, middle
 
     @cached_property
-    def checked(self) -> tuple[np.ndarray, np.ndarray]:
+    def sample_grid(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and columns of the samples whose paths are compared."""
         spread = np.linspace(-0.5, 0.5, CHECKED)
         rows, cols = self.scene.samples
@@ -113,7 +113,7 @@ class Path:
     def points(self) -> np.ndarray:
         """Paths of the checked samples, shape (FINEST + 1, 2, rows, cols)."""
         parts = np.linspace(0, 1, FINEST + 1)
-        return np.array([self.places(*self.checked, part) for part in parts])
+        return np.array([self.places(*self.sample_grid, part) for part in parts])
 
     @cached_property
     def middles(self) -> np.ndarray:
@@ -142,17 +142,17 @@ class Path:
         """Return points of a checked sample's path relative to its middle, and `light` of the pieces."""
         parts = np.linspace(0, 1, pieces + 1)
         points = self.points[:: FINEST // pieces, :, row, col]
-        light, middle = self.light(self.checked[0][row], parts)
+        light, middle = self.light(self.sample_grid[0][row], parts)
         mean = (light * (1 - middle)) @ points[:-1] + (light * middle) @ points[1:]
         return points - mean, light, middle
 
     @cached_property
     def pieces(self) -> int:
         """Fewest pieces that the middle sample's path consists of."""
-        true = _probed(*self.shape(CHECKED // 2, CHECKED // 2, FINEST))
+        true = _probe(*self.shape(CHECKED // 2, CHECKED // 2, FINEST))
         for count in PIECES:
             if (
-                np.abs(_probed(*self.shape(CHECKED // 2, CHECKED // 2, count)) - true).max()
+                np.abs(_probe(*self.shape(CHECKED // 2, CHECKED // 2, count)) - true).max()
                 < STRAIGHT
             ):
                 break
@@ -164,17 +164,17 @@ class Path:
         return self.shape(CHECKED // 2, CHECKED // 2, self.pieces)
 
     @cached_property
-    def probed(self) -> np.ndarray:
+    def spectrum(self) -> np.ndarray:
         """Transfer function of the middle sample's path at the frequencies of probes."""
-        return _probed(*self.middle_shape)
+        return _probe(*self.middle_shape)
 
     def shape_error(self, probes: Probes) -> Bound:
         """Return the error of one shape for all samples."""
-        worst = np.zeros(self.probed.shape)
+        worst = np.zeros(self.spectrum.shape)
         for row in range(CHECKED):
             for col in range(CHECKED):
-                own = _probed(*self.shape(row, col, FINEST))
-                np.maximum(worst, np.abs(own - self.probed), out=worst)
+                own = _probe(*self.shape(row, col, FINEST))
+                np.maximum(worst, np.abs(own - self.spectrum), out=worst)
         return self._of_mean(probes, probes.bound(probes.exact * worst.astype(np.float32)))
 
     def shear_error(self, probes: Probes, displaced: float = 0.0) -> Bound:
@@ -209,7 +209,7 @@ class Path:
 
     def smear(self, spectra: np.ndarray) -> np.ndarray:
         """Return transforms of windows after the smear along the middle sample's path."""
-        return (spectra * self.probed).astype(np.complex64)
+        return (spectra * self.spectrum).astype(np.complex64)
 
     def view_error(self, probes: Probes, is_convolved: bool) -> Bound:
         """Return the error of interpolated places. Fourier transforms displace without error."""
@@ -263,7 +263,7 @@ def convolve(device: Device, path: Path) -> Scene:
         A scene in host memory, with a plain view.
     """
     scene, border = path.scene, _border(path.scene)
-    content, light, response = _mixed(device, scene.content)
+    content, light, response = _mix(device, scene.content)
     points, *shares = path.middle_shape
     nodes = path.middles
     common = nodes[NODES[0] // 2, NODES[1] // 2, :2]
@@ -310,7 +310,7 @@ def accumulate(device: Device, path: Path, count: int) -> Scene:
         A scene in host memory, with a plain view.
     """
     scene, parts = path.scene, np.linspace(0, 1, count)
-    content, light, response = _mixed(device, scene.content)
+    content, light, response = _mix(device, scene.content)
     rows, cols = content.shape
     if path.flicker is None:
         own = shutter_weights(parts, 1, 1.0, 0.0)
@@ -341,7 +341,7 @@ def accumulate(device: Device, path: Path, count: int) -> Scene:
     return _scene(device, scene, content, total)
 
 
-def _probed(*shape):
+def _probe(*shape):
     """Return a path's transfer function at the frequencies of probes."""
     return transfer(np.fft.fftfreq(SIDE)[:, None], np.arange(SIDE // 2 + 1) / SIDE, *shape)
 
@@ -376,7 +376,7 @@ def mixing_form(content: Content) -> Content:
     return Basis(content.wavelengths, samples, spectra)
 
 
-def _mixed(device, content) -> tuple[Content, Any, np.ndarray]:
+def _mix(device, content) -> tuple[Content, Any, np.ndarray]:
     """Return the form of content that interpolates, its planes on the device, and the brightness of each plane."""
     form, table = mixing_form(content), None
     if content.labels is not None:

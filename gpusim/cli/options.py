@@ -361,7 +361,7 @@ class Request(Options):
 
     projection: str | None = option(
         choices=("plane", "equirectangular"),
-        help="what the samples of the scene are: places in a pinhole's picture, or the directions of "
+        help="meaning of the scene's samples: places in a pinhole's picture, or the directions of "
         "a panorama (all around, 2:1), which the camera sees in --size or its calibration's "
         "(default: the file's)",
     )

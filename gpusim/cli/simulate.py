@@ -58,7 +58,7 @@ class SimulateRequest(Request):
             return self.frames
         self.refuse("frames", "--capture has its own frames", "leave one of them out")
         self.refuse("verify", "the reference is of one frame at rest")
-        return self.capture.frames_returned
+        return self.capture.frame_count
 
     def check_outputs(self) -> list[Callable[[int], Path]]:
         """Return a function from a frame's number to its path for each output.

@@ -210,14 +210,14 @@ class Animation:
             A scene with the actors drawn into its samples or, with depth, as layers.
         """
         if self.scene.depth is not None:
-            return self._layered(time)
+            return self._add_layers(time)
         content, ratio = self.scene.content.surfaces, self.scene.samples_per_pixel
         planes = np.array(content.planes, np.promote_types(content.planes.dtype, np.float32))
         for actor in self.actors[::-1]:
             actor.onto(planes, time, ratio)
         return self.scene.stored(**{content.samples[-1]: planes})
 
-    def _layered(self, time):
+    def _add_layers(self, time):
         """Return the scene with the actors as layers, at their places in the order of distances."""
         scene, ratio = self.scene, self.scene.samples_per_pixel
         behind = np.asarray(scene.depth)

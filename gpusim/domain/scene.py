@@ -93,7 +93,7 @@ class View:
         c, s = cos(self.rotation) / self.zoom, sin(self.rotation) / self.zoom
         return c * y + s * x + ratio * self.shift[0], c * x - s * y + ratio * self.shift[1]
 
-    def seen_at(self, y: Any, x: Any, ratio: float = 1.0) -> tuple[Any, Any]:
+    def locate(self, y: Any, x: Any, ratio: float = 1.0) -> tuple[Any, Any]:
         """Return the frame positions that show scene positions: the inverse of `place`.
 
         Args:

@@ -14,6 +14,7 @@ import scipy
 
 from gpusim.judge.truth_lens import field_of, first_places
 from gpusim.judge.truth_light import axis_of
+from gpusim.optics.lens import lens_of
 from gpusim.optics.outside import border_indices
 from gpusim.optics.weights import electrons_per_content
 
@@ -78,7 +79,7 @@ def flat_fields(camera, scene, parts) -> list:
 
     It is what a relative illumination that is given has in it already; 1 without one.
     """
-    if isinstance(camera.optics.relative_illumination, str) or not camera.optics.varies:
+    if isinstance(camera.optics.relative_illumination, str) or lens_of(camera).is_uniform:
         return [1.0] * len(parts)
     weights = electrons_per_content(scene, camera)
     axis = [

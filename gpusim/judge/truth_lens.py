@@ -105,14 +105,14 @@ def _measured(spread, wavelength, pitch):
         def waves(f, at):
             found = np.exp(-2j * np.pi * step * np.outer(f, at))
             # a frequency of exactly half the rate counts half for either sign
-            return found if spread.integrated else found * _passed(np.abs(f) * step)[:, None]
+            return found if spread.integrated else found * _share_at(np.abs(f) * step)[:, None]
 
         return waves(fy, along[0]) @ values @ waves(fx, along[1]).T
 
     return transfer, 0.0 if spread.integrated else np.sqrt(0.5) / step
 
 
-def _passed(rate):
+def _share_at(rate):
     return np.where(rate < 0.5 - 1e-12, 1.0, np.where(rate < 0.5 + 1e-12, 0.5, 0.0))
 
 

@@ -16,6 +16,7 @@ from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.domain.scene import IMAGE
 from gpusim.optics.geometry import microlens_gain, relative_illumination, rim_of, vignetting_gain
+from gpusim.optics.lens import lens_of
 from gpusim.optics.outside import border_indices
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.
@@ -75,7 +76,8 @@ def with_rim(camera, scene):
     if model is None or scene.depth is not None:
         return scene
     rim = rim_of(model, scene.content.shape, pitch / scene.samples_per_pixel)
-    if not rim or camera.optics.varies or camera.optics.model == "none":
+    lens = lens_of(camera)
+    if not rim or lens.is_pointlike or not lens.is_uniform:
         return scene
     content = scene.content.on_host()
     rows, cols = (border_indices(np.arange(-rim, n + rim), n, scene.border) for n in content.shape)

@@ -47,10 +47,10 @@ def ray_error(pupil: Pupil, waves, q) -> float:
     if pupil.is_clear_circle and defocus_only(pupil, waves):
         least = np.abs(waves[:, 2, 0]).min()
         return lost * min(1.0, 2.5 / np.sqrt(max(8 * np.pi * least * s, 1e-9)))
-    return lost if s < FEW_RINGS else max(lost, _probed(pupil, waves[len(waves) // 2], s))
+    return lost if s < FEW_RINGS else max(lost, _probe(pupil, waves[len(waves) // 2], s))
 
 
-def _probed(pupil, wave, farthest):
+def _probe(pupil, wave, farthest):
     """Twice the largest error of rays at PROBES frequencies up to `farthest`, by quadrature."""
     number = np.arange(PROBES) + 0.5
     s, angle = farthest * (number / PROBES) ** 3, 2.4 * number
@@ -86,11 +86,11 @@ def _light(pupil, wave, q, shift, shape, first, aperture, spots, soft, is_period
     moves = np.round(2 * q * wave, 10)
     known = moves.tobytes(), moves.shape
     ends = (tuple(float(one) for one in both) for both in (shift, aperture, spots))
-    return _counted(pupil, *known, *ends, float(soft), shape, first, is_periodic)
+    return _count(pupil, *known, *ends, float(soft), shape, first, is_periodic)
 
 
 @lru_cache(maxsize=8)
-def _counted(pupil, values, form, shift, aperture, spots, soft, shape, first, is_periodic):
+def _count(pupil, values, form, shift, aperture, spots, soft, shape, first, is_periodic):
     """See `_light`; values: see `_bins`."""
     bins, width = _bins(pupil, values, form)
     middle = (np.arange(len(bins)) - (len(bins) - 1) / 2) * width

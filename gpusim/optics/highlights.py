@@ -12,7 +12,7 @@ that are integrated exactly, at the point's place in the field, and beyond them 
 rim of its pupil spreads (`lens_kernels`, `gpusim.optics.points`). Measured spreads end.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy.special import j1
 
 from gpusim.domain.content import Content
 from gpusim.optics import points
-from gpusim.optics.lens import Lens, MeasuredLens, PupilLens
+from gpusim.optics.lens import Lens
 
 THRESHOLD = 100.0  # times the median
 MOST = 64  # points; others stay in the planes, and their error is reported
@@ -264,7 +264,7 @@ def core_of(lens: Lens, wavelengths, spots: int, longest: int) -> int:
         spots: Places that have kernels of their own.
         longest: Pixels along the frame.
     """
-    if not isinstance(lens, PupilLens):
+    if lens.tail is None:
         return lens.least_size // 2 + 1
     q = lens.q(wavelengths)
     corner = lens.optics.waves(wavelengths[:1], 0.0 if lens.is_uniform else 1.0)[0]
@@ -291,22 +291,15 @@ def lens_kernels(lens: Lens, wavelengths, spots, core: int, reach: int) -> Point
         core: See `Highlights`.
         reach: Farthest pixel of a kernel.
     """
-    side = 2 * core + 1
-    if isinstance(lens, MeasuredLens):
-        cores = []
-        for y, x, down, across in spots.tolist():
-            moved = lens.displacement[0] - down, lens.displacement[1] - across
-            cores.append(replace(lens, displacement=moved).kernels(wavelengths, (y, x), side))
-        nothing = np.zeros((len(wavelengths), 2))
-        return PointKernels(
-            np.stack(cores), nothing, 1.0, (1, 1), (1.0, 1.0), np.zeros((len(spots), 2))
-        )
-    assert isinstance(lens, PupilLens)
-    cores, centres = zip(
+    energies, middles = zip(
         *(lens.point_energies(wavelengths, spot, np.arange(-core, core + 1)) for spot in spots),
         strict=True,
     )
-    return _rim_kernels(lens, wavelengths, np.stack(cores), np.stack(centres), core, reach)
+    cores, centres = np.stack(energies), np.stack(middles)
+    if lens.tail is None:  # nothing is beyond
+        nothing = np.zeros((len(wavelengths), 2))
+        return PointKernels(cores, nothing, 1.0, (1, 1), (1.0, 1.0), centres)
+    return _rim_kernels(lens, wavelengths, cores, centres, core, reach)
 
 
 def _rim_kernels(lens, wavelengths, cores, centres, core, reach):
@@ -324,7 +317,7 @@ def _rim_kernels(lens, wavelengths, cores, centres, core, reach):
         own[:] = points.round_profile(
             optics.pupil, wave, one, middle, radii, spread, spots, diffuser
         )
-        if optics.pupil.blades:
+        if optics.pupil.sides.size:
             lines.append(
                 points.streaks(optics.pupil, wave, one, middle, lens.aperture, spots, diffuser)
             )
@@ -337,7 +330,7 @@ def beyond_errors(lens: Lens, wavelengths, weights, core: int) -> tuple[float, f
 
     Compared are pixels along the core's rim. weights: of the wavelengths in the channels, (C, L).
     """
-    if not isinstance(lens, PupilLens):
+    if lens.tail is None:
         return 0.0, 0.0
     at = np.unique(np.round(np.linspace(-core, core, PROBED)).astype(int))
     exact, centre = lens.point_energies(wavelengths, np.zeros(4), at)
@@ -361,7 +354,7 @@ def beyond_light(
     wavelength: that stands for all [nm]. levels: light of each point, (N,). rows, cols: as `Highlights.places`.
     """
     total = np.zeros((len(rows), len(cols)))
-    if not isinstance(lens, PupilLens):
+    if lens.tail is None:
         return total
     reach, nodes = int(lights.reach.max()), np.array([wavelength])
     core = np.zeros((1, 1, 1, 1))

@@ -118,7 +118,7 @@ class _Placing:
 
     def image(self, y, x):
         """Return the places on the sensor of places in the scene, in binned pixels."""
-        y, x = self.scene.view.seen_at(
+        y, x = self.scene.view.locate(
             y - self._middle[0], x - self._middle[1], self.scene.samples_per_pixel
         )
         if self.distortion is not None:

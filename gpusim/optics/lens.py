@@ -232,6 +232,25 @@ class Lens(Protocol):
             Energies (L, rows, cols) and the distance of their samples [m].
         """
 
+    @property
+    def spots(self) -> tuple[float, float]:
+        """Distances of a low-pass filter's spots from their middle, (rows, cols) [sample]."""
+
+    def q(self, wavelengths) -> np.ndarray:
+        """Return the wavelengths [nm] times working f-number over the distance of samples, shape (L,)."""
+
+    def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
+        """Return the energies of pixels around a point, and the middle of the light far from it.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            spot: Field point (y, x), and the image's displacement (rows, cols) [sample].
+            at: Rows, and columns, of the pixels from the point [sample], shape (n,); without a `tail` -k ... k.
+
+        Returns:
+            Energies (L, n, n), and rows and columns (2,) of the middle [sample].
+        """
+
     def describe(self, by_depth: bool) -> tuple[str, str]:
         """Return the stage that makes the tables, and the blur in words.
 
@@ -274,6 +293,16 @@ class _OnGrid:
     def describe(self, by_depth) -> tuple[str, str]:
         """See `Lens`."""
         return "optics.pupil", self.words
+
+    @property
+    def spots(self) -> tuple[float, float]:
+        """See `Lens`."""
+        down, across = self.optics.birefringence
+        return down / self.pitch / 2, across / self.pitch / 2
+
+    def q(self, wavelengths) -> np.ndarray:
+        """See `Lens`."""
+        return np.asarray(wavelengths) * 1e-9 * self.optics.working_f_number / self.pitch
 
     def nanometres(self, q) -> np.ndarray:
         """Return the wavelengths [nm] of q, shape (L,)."""
@@ -330,12 +359,12 @@ class PupilLens(_OnGrid):
         rows = self.aperture[0] ** 2 / 12 + (down / self.pitch / 2) ** 2 + soft
         cols = self.aperture[1] ** 2 / 12 + (across / self.pitch / 2) ** 2 + soft
         waves = self._waves(wavelengths)
-        return farfield.tail(optics.pupil, self._q(wavelengths), waves, rows + cols)
+        return farfield.tail(optics.pupil, self.q(wavelengths), waves, rows + cols)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
         waves, radius = self._waves(wavelengths, height, distance=distance), 0.0
-        for q, wave in zip(self._q(wavelengths), waves, strict=True):
+        for q, wave in zip(self.q(wavelengths), waves, strict=True):
             if wave.any():
                 radius = max(radius, 2 * q * steepest_slope(wave))
         return radius
@@ -419,28 +448,13 @@ class PupilLens(_OnGrid):
         """See `Lens`."""
         waves = self._waves(wavelengths, distance=distance)
         if self._by_rays(waves):
-            return ray_error(self.optics.pupil, waves, self._q(wavelengths))
+            return ray_error(self.optics.pupil, waves, self.q(wavelengths))
         if not is_too_costly(self.optics.pupil, waves):
             return 0.0
         return window(self.optics.pupil, waves)[1]
 
-    @property
-    def spots(self) -> tuple[float, float]:
-        """Distances of a low-pass filter's spots from their middle, (rows, cols) [sample]."""
-        down, across = self.optics.birefringence
-        return down / self.pitch / 2, across / self.pitch / 2
-
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
-        """Return the energies of pixels around a point, integrated exactly, and the middle of the light far from it.
-
-        Args:
-            wavelengths: [nm], shape (L,).
-            spot: Field point (y, x), and the image's displacement (rows, cols) [sample].
-            at: Rows, and columns, of the pixels from the point [sample], shape (n,).
-
-        Returns:
-            Energies (L, n, n), and rows and columns (2,) of the middle [sample].
-        """
+        """See `Lens`. The energies are exact integrals."""
         optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
         waves = optics.waves(wavelengths, *_polar(place))
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:]
@@ -462,14 +476,10 @@ class PupilLens(_OnGrid):
             centre[:] = points.rim_centre(*middle) + shift
         return found, centres.mean(axis=0)
 
-    def q(self, wavelengths) -> np.ndarray:
-        """Return the wavelengths [nm] times working f-number over the distance of samples, shape (L,)."""
-        return self._q(wavelengths)
-
     @property
     def is_coarse(self) -> bool:
         """Whether samples are so much coarser than lambda N that rays are counted."""
-        return float(self._q(MIDDLE)) < COARSE_Q
+        return float(self.q(MIDDLE)) < COARSE_Q
 
     def _by_rays(self, waves) -> bool:
         """Whether tables are of rays: samples are coarse, or waves are more than are worth diffracting."""
@@ -480,13 +490,9 @@ class PupilLens(_OnGrid):
         longest = np.inf if self.is_coarse or distance is None else LONGEST_WAVEFRONT
         return self.optics.waves(wavelengths, height, azimuth, distance, longest)
 
-    def _q(self, wavelengths):
-        """Wavelength times working f-number over the pitch, shape (L,)."""
-        return np.asarray(wavelengths) * 1e-9 * self.optics.working_f_number / self.pitch
-
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`."""
-        optics, q = self.optics, self._q(wavelengths)
+        optics, q = self.optics, self.q(wavelengths)
         waves = self._waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         spots, soft = np.divide(self._spots, 2), optics.diffuser / self.pitch
@@ -508,7 +514,7 @@ class PupilLens(_OnGrid):
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
         waves = self._waves(wavelengths, *_polar(place), distance=distance)
-        rays = -2 * self._q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
+        rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
 
@@ -557,7 +563,7 @@ class MeasuredLens(_OnGrid):
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`. Raises OutOfRange if the measured spread is larger than `size` samples."""
         place = tuple(np.clip(place, np.negative(self.corner), self.corner).tolist())
-        tables = self._defocused(self._tables(wavelengths, size, size, place=place), size, distance)
+        tables = self._defocus(self._tables(wavelengths, size, size, place=place), size, distance)
         kernels = np.fft.irfft2(tables.view(np.complex128), (size, size))
         kernels = np.fft.fftshift(kernels, axes=(1, 2))
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
@@ -580,13 +586,13 @@ class MeasuredLens(_OnGrid):
         finest = float(q.min()) * self.pitch / 2 if stages.whole else 0.0
         wavelengths = self.nanometres(q)
         tables = self._tables(wavelengths, rows, cols, finest=finest, whole=stages.whole)
-        return stages.given(self._defocused(tables, cols, distance))
+        return stages.given(self._defocus(tables, cols, distance))
 
     def _disc(self, distance) -> float:
         """Return the diameter of the disc by which a distance is out of focus [m]; 0 for None."""
         return 0.0 if distance is None else float(circle_of_confusion(self.optics, distance))
 
-    def _defocused(self, tables, cols, distance):
+    def _defocus(self, tables, cols, distance):
         """Return tables, real and imaginary parts side by side, of spreads that are convolved with that disc."""
         disc = self._disc(distance) / self.pitch
         if not disc:
@@ -622,6 +628,13 @@ class MeasuredLens(_OnGrid):
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
         """See `Lens`."""
         return spread_at(self.spread_data, wavelengths, place), self.spread_data.spacing
+
+    def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
+        """See `Lens`."""
+        y, x, down, across = np.asarray(spot).tolist()
+        moved = self.displacement[0] - down, self.displacement[1] - across
+        lens = replace(self, displacement=moved)
+        return lens.kernels(wavelengths, (y, x), len(at)), np.zeros(2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -680,6 +693,10 @@ class PointLens(_OnGrid):
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
         """See `Lens`."""
         return self.kernels(wavelengths, place, count), 2 * reach / count
+
+    def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
+        """See `Lens`."""
+        return self.kernels(wavelengths, spot[:2], len(at)), np.zeros(2)
 
 
 def open_lens(

@@ -23,6 +23,7 @@ from gpusim.domain.distortion import Model, fit_to_frame, ideal
 from gpusim.domain.errors import BadData, OutOfRange, checked_count
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import IMAGE, PANORAMA, Scene
+from gpusim.optics.lens import lens_of
 
 FARTHEST = np.radians(95.0)  # from the axis: the image ends there
 STEEPEST = np.radians(85.0)  # to which the cos^4 law goes: it is 0 at 90 degrees
@@ -86,15 +87,15 @@ def view_panorama(
     slope = sensor.pixel_pitch / optics.image_distance
     if scene.fov:
         slope = 2 * np.tan(scene.fov / 2) / cols
-    rays = _Rays(model, sensor.pixel_pitch, slope, _turned(yaw, pitch, roll))
-    margin = 0 if optics.model == "none" else rays.margin((rows, cols), MARGIN) * ceil(ratio)
+    rays = _Rays(model, sensor.pixel_pitch, slope, _turn(yaw, pitch, roll))
+    margin = 0 if lens_of(camera).is_pointlike else rays.margin((rows, cols), MARGIN) * ceil(ratio)
     samples = tuple(round(n * ratio) + 2 * margin for n in (rows, cols))
     content = scene.content.on_host()
     planes, spectra = _linear_planes(content)
     count = len(planes)
     needed = 4 * count * (samples[0] * samples[1] + 3 * planes[0].size)
     require_memory(f"what {camera.name} sees of {scene.name}", needed)
-    levels = list(_halved(np.ascontiguousarray(np.moveaxis(planes, 0, -1))))
+    levels = list(_halve(np.ascontiguousarray(np.moveaxis(planes, 0, -1))))
     out = np.zeros((count, *samples), np.float32)
     labels = {name: np.zeros(samples, label.dtype) for name, label in scene.labels.items()}
     dark, inside = 0, np.s_[margin : samples[0] - margin, margin : samples[1] - margin]
@@ -107,7 +108,7 @@ def view_panorama(
         angle = rays.angles(down[:, None], across)[own][:, inside[1]]
         dark += int((angle > FARTHEST).sum())
         _check_cos4(optics, angle)
-        out[:, strip] = _seen(levels, rays, optics, down, across, step)
+        out[:, strip] = _average(levels, rays, optics, down, across, step)
         for name, label in scene.labels.items():
             y, x, is_seen = rays.places(down[:, None], across, label.shape)
             found = label[
@@ -163,7 +164,7 @@ def _check_cos4(optics, angle):
         )
 
 
-def _seen(levels, rays, optics, down, across, step):
+def _average(levels, rays, optics, down, across, step):
     """Return the light of places (K, len(down), len(across)), the mean over the area of each."""
     height, width = len(down), len(across)
     # samples of the panorama in a place, by the angle between places
@@ -215,7 +216,7 @@ def _bilinear(y, x, weights, shape):
     return found
 
 
-def _halved(planes) -> Iterator[np.ndarray]:
+def _halve(planes) -> Iterator[np.ndarray]:
     """Yield planes (rows, cols, K), and means over 2 x 2, 4 x 4 ... samples while both sides are even and long."""
     yield planes
     while min(planes.shape[:2]) >= 32 and planes.shape[0] % 2 == 0 and planes.shape[1] % 4 == 0:
@@ -224,7 +225,7 @@ def _halved(planes) -> Iterator[np.ndarray]:
         yield planes
 
 
-def _turned(yaw, pitch, roll):
+def _turn(yaw, pitch, roll):
     """Rotation of directions (right, down, ahead) of the camera into those of the panorama, (3, 3)."""
     (cy, cp, cr), (sy, sp, sr) = np.cos([yaw, pitch, roll]), np.sin([yaw, pitch, roll])
     about_down = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])

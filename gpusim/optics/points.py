@@ -50,7 +50,7 @@ def _gauss(count):
 def _chords(outline: Pupil, count):
     """Rows of the outline without its obstruction: y, left, right and weights of y, each (rows,)."""
     nodes, mass = _gauss(count)
-    if not outline.blades:
+    if not outline.sides.size:
         t = pi / 2 * nodes
         half = np.cos(t)
         return np.sin(t), -half, half, pi / 2 * mass * half
@@ -179,7 +179,7 @@ def round_profile(
         spots: Distances of a low-pass filter's spots from their middle, (rows, cols) [sample].
         diffuser: Standard deviation of a Gaussian blur [sample].
     """
-    rims = [] if outline.blades else [(1.0, 1.0)]
+    rims = [] if outline.sides.size else [(1.0, 1.0)]
     if outline.obscuration:
         rims.append((outline.obscuration, -1.0))
     if not rims:
@@ -255,7 +255,8 @@ def line_angles(outline: Pupil) -> np.ndarray:
 def streaks(outline: Pupil, wave, q: float, centre, part, spots, diffuser: float) -> Streaks:
     """Return the streaks of a polygonal pupil. For the arguments see `round_profile`."""
     angles, sides = line_angles(outline), outline.sides
-    n, half = len(sides), np.sin(pi / outline.blades)
+    n = len(sides)
+    half = np.sin(pi / n)
     across = np.arange(-ACROSS * FINE, ACROSS * FINE + 1) / FINE
     norm = 1 / (4 * pi * outline.area * q * q) * (2 * q) ** 2 / (4 * pi**2)
     profiles = np.zeros((len(angles), len(across)))
@@ -273,7 +274,7 @@ def streaks(outline: Pupil, wave, q: float, centre, part, spots, diffuser: float
         profiles[line] += np.abs(field) ** 2 * norm
     for profile, angle in zip(profiles, angles, strict=True):
         along = np.abs([np.cos(angle), np.sin(angle)])  # of the tangent's (y, x)
-        weights = _projected(along * np.array(part), FINE)
+        weights = _project(along * np.array(part), FINE)
         for spot, one in zip(spots, along, strict=True):
             if spot * one * FINE > 0.5:
                 pair = np.zeros(2 * round(spot * one * FINE) + 1)
@@ -290,7 +291,7 @@ def streaks(outline: Pupil, wave, q: float, centre, part, spots, diffuser: float
     return Streaks(angles, profiles, -2 * pairs * norm * (2 * q) ** 2 / (4 * pi**2))
 
 
-def _projected(sides, fine):
+def _project(sides, fine):
     """Weights of a rectangle's points along a line: of two boxes of these widths, `fine` to a sample."""
     weights = np.ones(1)
     for side in sides:

@@ -233,13 +233,13 @@ def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
     longest = abs(samples[0]) + np.abs(pixels).max()
     x, gauss = roots_legendre(int(np.ceil(1.7 * longest / q)) + 16)
     f, gauss = (x + 1) / (2 * q), gauss / (2 * q)
-    response = 2 * gauss * _passed(f, aperture, spot, soft)
+    response = 2 * gauss * _axis_transfer(f, aperture, spot, soft)
     to, of = 2 * np.pi * np.outer(pixels, f), 2 * np.pi * np.outer(f, samples)
     shares = (np.cos(to) * response).astype(np.float32) @ np.cos(of).astype(np.float32)
     return shares + (np.sin(to) * response).astype(np.float32) @ np.sin(of).astype(np.float32)
 
 
-def _passed(f, aperture, spot, soft):
+def _axis_transfer(f, aperture, spot, soft):
     """Transfer function of aperture, low-pass filter and diffuser along one axis at f [cycle/pixel]."""
     passed = np.sinc(aperture * f) * np.cos(2 * np.pi * spot * f)
     return passed * np.exp(-2 * (np.pi * soft * f) ** 2)
@@ -251,7 +251,7 @@ def _all_shares(half, q, aperture, spot, soft, shift):
     samples = np.arange(-half, half + 1) * (2 * q * STEP)
     f = np.arange(1, int(np.ceil(1 / q)))
     waves = np.cos(2 * np.pi * np.multiply.outer(samples + shift, f))
-    return 1 + 2 * waves @ _passed(f, aperture, spot, soft)
+    return 1 + 2 * waves @ _axis_transfer(f, aperture, spot, soft)
 
 
 def sampled_kernel(
@@ -350,19 +350,19 @@ def difference_tables(
         left = _difference(pupil, waves[band], half, focus, fading)
         first, second = _axes(q[band], shift, aperture, spots, soft)
         if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
-            down = _folded(np.fft.fftfreq(rows), half, *first)
-            across = _folded(np.arange(cols // 2 + 1) / cols, half, *second)
+            down = _fold(np.fft.fftfreq(rows), half, *first)
+            across = _fold(np.arange(cols // 2 + 1) / cols, half, *second)
             out[band] = (down @ left.astype(np.complex64)) @ across.T
         else:
             down, across = (pixel_shares(size, half, *axis) for axis in (first, second))
-            out[band] = _wrapped(down @ (left @ across.T), rows, cols)
+            out[band] = _wrap(down @ (left @ across.T), rows, cols)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
     return out
 
 
-def _folded(f, half, q, aperture, spot, soft, shift):
+def _fold(f, half, q, aperture, spot, soft, shift):
     """Transform of `pixel_shares`, of all pixels of an endless grid, at f [cycle/pixel], complex64 (f, samples)."""
     samples = np.arange(-half, half + 1) * (2 * q * STEP) + shift
     total = np.zeros((len(f), len(samples)), complex)
@@ -370,12 +370,12 @@ def _folded(f, half, q, aperture, spot, soft, shift):
     for whole in range(-reach, reach + 1):
         inside = np.flatnonzero(np.abs(f + whole) * q < 1)
         one = f[inside] + whole
-        passed = _passed(one, aperture, spot, soft)
+        passed = _axis_transfer(one, aperture, spot, soft)
         total[inside] += passed[:, None] * np.exp(-2j * np.pi * np.outer(one, samples))
     return total.astype(np.complex64)
 
 
-def _wrapped(kernel, rows, cols):
+def _wrap(kernel, rows, cols):
     """Half spectrum of a kernel that a period repeats, its middle at sample 0."""
     at = np.arange(len(kernel)) - len(kernel) // 2
     y, x = at[:, None] % rows, at % cols

@@ -37,7 +37,8 @@ class Batch:
         planned_for: Scene whose plan is used for all scenes of its kind that it fits, in any order of calls. Other
             scenes get their own plans. None reuses plans of earlier scenes.
         plan: Plan for all frames, see `Loop`.
-        capture: Capture of each item, see `Loop`.
+        capture: Capture of each item, see `Loop`. Frames that are not merged follow each other on the first axis,
+            those of an item together: devices have four axes at most.
 
     Attributes:
         plans: Plans of the items of the last call.
@@ -96,7 +97,7 @@ class Batch:
             first: Numbers of the frames. One number is for the first item; the others count up from it.
 
         Returns:
-            A device array (count, ...) of the type of one frame.
+            A device array (count, ...) of the type of one frame, (count * frames, ...) of captures with frames.
 
         Raises:
             BadData: Items have different shapes, or an argument has another number of values than there are items.
@@ -163,7 +164,8 @@ class Batch:
                 "frames have one shape"
             )
         self.plans, self._seen = plans, [(scene, camera) for scene, camera, *_ in rows]
-        return self._cache("frames", stack_frames, *frames, device=device)
+        function = join_frames if self._capture and self._capture.has_frames else stack_frames
+        return self._cache("frames", function, *frames, device=device)
 
     def judge(self) -> None:
         """Wait for the device's measurements of the scenes, see `Loop.judge`.
@@ -210,6 +212,13 @@ class Batch:
 def stack_frames(*frames, device) -> Any:
     """Return frames in one array."""
     return device.stack(frames)
+
+
+def join_frames(*frames, device) -> Any:
+    """Return arrays of frames in one array, one after the other."""
+    count, *shape = frames[0].shape
+    flat = device.stack([device.reshape(array, (count * prod(shape),)) for array in frames])
+    return device.reshape(flat, (len(frames) * count, *shape))
 
 
 def bytes_of_item(plan: Plan, output: str) -> int:

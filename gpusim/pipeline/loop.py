@@ -11,6 +11,7 @@ from gpusim.backends import Device
 from gpusim.color.rendering import Rendering
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
+from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, check_known
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -81,6 +82,10 @@ class Capture(Protocol):
     @property
     def count(self) -> int:
         """Number of frames."""
+
+    @property
+    def has_frames(self) -> bool:
+        """True if its outputs have an axis of frames."""
 
     def output(self, loop: "Loop", name: str, *, seed: int, first: int) -> tuple[Any, Plan]:
         """Return one of OUTPUTS of a capture of the loop's scene, and the plan that made it."""
@@ -368,9 +373,7 @@ class Loop:
         while True:
             plan = self.plan
             self._use("exposure", exposure_steps, simulator, plan)
-            # without the highlights that the plan adds separately
-            is_whole = plan.find(Highlights) is None and not scene.layers
-            values.give(content=scene.content if is_whole else plan.content, view=scene.view)
+            values.give(content=blurred_content(plan, scene), view=scene.view)
             values["rates"]
             # last, so the device has work while the host waits
             if self._plan_still_valid():
@@ -568,6 +571,12 @@ class Loop:
         return self.before.cache(
             "given", predict_errors, simulator, self._fixed_plan, scene, self._facts(), seconds
         )
+
+
+def blurred_content(plan: Plan, scene: Scene) -> Content:
+    """Return the content of a scene that a plan serves, without the highlights that the plan adds separately."""
+    is_whole = plan.find(Highlights) is None and not scene.layers
+    return scene.content if is_whole else plan.content
 
 
 def _plan(simulator, scene, facts, seconds, least, words) -> Plan:

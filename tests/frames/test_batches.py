@@ -211,3 +211,30 @@ def test_refuses(monkeypatch):
     )
     with pytest.raises(DoesNotFit, match="a batch of 1000 frames of 96x64"):
         simulator.batch(1000, "raw")(scenes[0], exposure_time=0.01)
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("output", ["raw", "codes", "linear", "irradiance", "electrons"])
+def test_batches_of_captures_have_four_axes_at_most(output, device):
+    """Arrays of Warp have no more. The frames of an item follow each other; pictures have an axis of frames."""
+    scene, burst = gs.chart("deadleaves", size=(64, 48)), gs.Burst(2)
+    other = scene.content.with_samples(lambda array: np.roll(array, 9, -1))
+    scenes, camera = (
+        [scene, replace(scene, content=other)],
+        camera_with(sensor={"exposure_time": 0.01}),
+    )
+    simulator = gs.Simulator(camera, device=device, tolerance="video")
+    plan = simulator.plan(scene)
+    joined = host(
+        simulator.device, simulator.batch(2, output, capture=burst, plan=plan)(scenes, seed=3)
+    )
+    one = simulator.batch(1, output, plan=plan)
+    for number, frame in enumerate(joined):
+        own = host(simulator.device, one(scenes[number // 2], seed=3, first=number))
+        assert np.array_equal(frame, own[0])
+    assert joined.ndim <= 4 and len(joined) == 4
+    light = np.random.default_rng(1).random((2, 1, 24, 32), np.float32)
+    pictures = gs.PictureBatch(camera, device=device, output=output, capture=burst)(light)
+    assert pictures.shape[:2] == (2, 2) and pictures.shape[-2:] == (24, 32)
+    second = gs.PictureBatch(camera, device=device, output=output)(light[1:], first=2)
+    assert np.array_equal(pictures[1, 0], second[0])

@@ -146,6 +146,9 @@ ROWS = {
         "stage": ("--device numpy", "--stage sensor.noise"),
         "json": ("--device numpy", "--json rows.json"),
         "hard": ("--device numpy", "--hard"),
+        "combinations": ("--device numpy", "--combinations"),
+        "feature": ("--device numpy --combinations", "--feature depth"),
+        "tolerance": ("--device numpy --combinations", "--tolerance 1e-2"),
     },
     "bench": {
         "device": ("--device numpy", "--device warp:cpu"),
@@ -260,6 +263,7 @@ def record(monkeypatch):
     import gpusim.backends.probe
     import gpusim.io.camera.learned
     import gpusim.judge.bench
+    import gpusim.judge.combinations
     import gpusim.judge.hard
     import gpusim.judge.pareto
     import gpusim.judge.verify
@@ -284,6 +288,10 @@ def record(monkeypatch):
         row = {"ok": True, "number": 1, "name": "hard", "asked": "", "got": 0.0, "limit": 1.0}
         yield row | {"device": device.name, "why": ""}
 
+    def combined(device, make, features):
+        asked = f"asked: {features}, {make.keywords['tolerance']}"
+        yield gpusim.judge.combinations.Cell(features[0], features[-1], "runs", asked)
+
     def timed(device, stages, size):
         yield {"device": device.name, "stage": "all", "failed": said(*stages, size)}
 
@@ -301,6 +309,7 @@ def record(monkeypatch):
         (gpusim.judge.verify, "verify", verified),
         (gpusim.judge.verify, "verify_devices", verified_by_name),
         (gpusim.judge.hard, "hard", hard),
+        (gpusim.judge.combinations, "combinations", combined),
         (gpusim.judge.bench, "bench", timed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),
@@ -311,7 +320,7 @@ def record(monkeypatch):
         made = producer()
         shown = list(made._scenes.between(0, min(made._scenes.count, 2)))
         print(made._device.name, made.period, vars(state), name, shape, title, made.frames)
-        print(*(digest(scene) for scene in shown))
+        print(made._capture, *(digest(scene) for scene in shown))
 
     monkeypatch.setattr(gpusim.apps.preview.page, "mount", mounted)
     monkeypatch.setattr(nicegui.ui, "run", lambda **options: print(options))
@@ -379,6 +388,10 @@ CONFLICTS = [  # a command line and the option that has no effect in it
     ("preview", PHOTO, "--fps 10"),
     ("preview", PHOTO, "--pan 0,20"),
     ("verify", "--device numpy --hard", "--stage sensor.noise"),
+    ("verify", "--device numpy --combinations", "--stage sensor.noise"),
+    ("verify", "--device numpy --combinations", "--hard"),
+    ("verify", "--device numpy", "--feature depth"),
+    ("verify", "--device numpy", "--tolerance 1e-2"),
     ("bench", "--device numpy", "--camera phone"),
     ("bench", "--device numpy", "-o out.png"),
     ("bench", "--device numpy --pareto colorchecker", "--stage sensor.noise"),

@@ -5,6 +5,7 @@ Not differentiable: noise is drawn and values are rounded, so no gradient passes
 
 import sys
 from collections import OrderedDict
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -165,6 +166,8 @@ class PictureBatch:
     def _return_frames(self, pictures, frames):
         """Return frames as an array of the pictures' library."""
         made = _convert(pictures, self.simulator.device, frames)
+        if self._capture is not None and self._capture.has_frames:
+            made = made.reshape(len(self.plans), -1, *made.shape[1:])
         return move_axis(made, -1, -3) if self.output == "codes" else made
 
     def _scene(self, values) -> Scene:
@@ -218,6 +221,7 @@ def _convert(pictures, device, frames):
     if not isinstance(frames, np.ndarray) and device.kind == "warp":
         # this device copies, in order: a copy by the other library might be too late for the next
         # batch
-        return library.from_dlpack(device.reshape(device.stack([frames]), frames.shape))
+        flat = device.reshape(frames, (prod(frames.shape),))
+        return library.from_dlpack(device.reshape(device.stack([flat]), frames.shape))
     copied = np.array(device.numpy(frames))
     return library.from_numpy(copied).to(pictures.device) if is_torch else library.asarray(copied)
