@@ -1104,8 +1104,9 @@ def _take(planes_, first, shape, device):
             f * (f * f - 1) / 6,
         ]
         taps = np.clip(at[:, None] + np.arange(-1, 3), 0, whole - 1)
-        start = np.clip(at - 1, 0, whole - 4)
-        weight = np.zeros((size, 4), np.float32)
+        count = min(4, whole)
+        start = np.clip(at - 1, 0, whole - count)
+        weight = np.zeros((size, count), np.float32)
         np.add.at(weight, (np.arange(size)[:, None], taps - start[:, None]), cubic)
         starts.append(start.astype(np.int32))
         weights.append(weight)
