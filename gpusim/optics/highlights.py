@@ -267,7 +267,7 @@ def core_of(lens: Lens, wavelengths, spots: int, longest: int) -> int:
     if lens.tail is None:
         return lens.least_size // 2 + 1
     q = lens.q(wavelengths)
-    corner = lens.optics.waves(wavelengths[:1], 0.0 if lens.is_uniform else 1.0)[0]
+    corner = lens.waves(wavelengths[:1], 0.0 if lens.is_uniform else 1.0)[0]
     slope = points.steepest(corner)
     away = 2 * q[0] * slope
     least = max(LEAST_RINGS * q.max(), LEAST_RAYS * away) + np.hypot(*lens.displacement)
@@ -304,7 +304,7 @@ def lens_kernels(lens: Lens, wavelengths, spots, core: int, reach: int) -> Point
 
 def _rim_kernels(lens, wavelengths, cores, centres, core, reach):
     """Kernels of a pupil with these cores: the light beyond them is that on the axis."""
-    q, waves, optics = lens.q(wavelengths), lens.optics.waves(wavelengths), lens.optics
+    q, waves, optics = lens.q(wavelengths), lens.waves(wavelengths), lens.optics
     parts = tuple(min(ceil(FINER * side / q.min()), 8) for side in lens.aperture)
     spread = tuple(side / count for side, count in zip(lens.aperture, parts, strict=True))
     step = max(q.min() / PER_RING, 1 / 256)

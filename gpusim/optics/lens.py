@@ -358,12 +358,12 @@ class PupilLens(_OnGrid):
         soft = (optics.diffuser / self.pitch) ** 2
         rows = self.aperture[0] ** 2 / 12 + (down / self.pitch / 2) ** 2 + soft
         cols = self.aperture[1] ** 2 / 12 + (across / self.pitch / 2) ** 2 + soft
-        waves = self._waves(wavelengths)
+        waves = self.waves(wavelengths)
         return farfield.tail(optics.pupil, self.q(wavelengths), waves, rows + cols)
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
-        waves, radius = self._waves(wavelengths, height, distance=distance), 0.0
+        waves, radius = self.waves(wavelengths, height, distance=distance), 0.0
         for q, wave in zip(self.q(wavelengths), waves, strict=True):
             if wave.any():
                 radius = max(radius, 2 * q * steepest_slope(wave))
@@ -381,7 +381,7 @@ class PupilLens(_OnGrid):
 
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
-        waves = self._waves(self.nanometres(q), distance=distance)
+        waves = self.waves(self.nanometres(q), distance=distance)
         if self._by_rays(waves):
             return self._ray_tables(waves, q, rows, cols, stages)
         if self.is_airy and distance is None and not any(self.displacement):
@@ -425,7 +425,7 @@ class PupilLens(_OnGrid):
         """See `Lens`."""
         wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
         optics = self.optics
-        waves = self._waves(wavelengths, *_polar(place), distance=distance)
+        waves = self.waves(wavelengths, *_polar(place), distance=distance)
         cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
         found = np.empty((len(waves), fx.size), complex)
         for own, wave, one in zip(found, waves, cut, strict=True):
@@ -446,7 +446,7 @@ class PupilLens(_OnGrid):
 
     def table_error(self, wavelengths, distance=None) -> float:
         """See `Lens`."""
-        waves = self._waves(wavelengths, distance=distance)
+        waves = self.waves(wavelengths, distance=distance)
         if self._by_rays(waves):
             return ray_error(self.optics.pupil, waves, self.q(wavelengths))
         if not is_too_costly(self.optics.pupil, waves):
@@ -456,7 +456,7 @@ class PupilLens(_OnGrid):
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """See `Lens`. The energies are exact integrals."""
         optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
-        waves = optics.waves(wavelengths, *_polar(place))
+        waves = self.waves(wavelengths, *_polar(place))
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:]
         soft = optics.diffuser / self.pitch
         more = int(np.ceil(5 * soft)) if soft and len(at) > 1 and (np.diff(at) == 1).all() else 0
@@ -485,15 +485,15 @@ class PupilLens(_OnGrid):
         """Whether tables are of rays: samples are coarse, or waves are more than are worth diffracting."""
         return self.is_coarse or max(map(fastest_turn, waves)) > 2 * LONGEST_WAVEFRONT
 
-    def _waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None):
-        """Wavefronts: see `Optics.waves`. Rays may be of any number of waves."""
+    def waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None) -> np.ndarray:
+        """Return wavefronts: see `Optics.waves`. Rays may be of any number of waves."""
         longest = np.inf if self.is_coarse or distance is None else LONGEST_WAVEFRONT
         return self.optics.waves(wavelengths, height, azimuth, distance, longest)
 
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`."""
         optics, q = self.optics, self.q(wavelengths)
-        waves = self._waves(wavelengths, *_polar(place), distance=distance)
+        waves = self.waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         spots, soft = np.divide(self._spots, 2), optics.diffuser / self.pitch
         settings = size, self.aperture, spots, soft
@@ -513,7 +513,7 @@ class PupilLens(_OnGrid):
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
-        waves = self._waves(wavelengths, *_polar(place), distance=distance)
+        waves = self.waves(wavelengths, *_polar(place), distance=distance)
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 

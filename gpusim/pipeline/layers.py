@@ -143,8 +143,10 @@ class _Groups:
         places, members, radii = found.within(self._margin, composed.shape[1:])
         if not len(places):
             return composed
+        moved = tables.displacement(self._plan)
+        base = self._move(composed, [-one for one in moved])
         changed = occlude(
-            composed,
+            base,
             device.stack([light for light, _ in self._sharp]),
             device.stack([device.part(cover, 0) for _, cover in self._sharp]),
             places,
@@ -156,8 +158,8 @@ class _Groups:
             device=device,
         )
         _, smooth = tables.in_focus(self._plan)
-        change = self._spread(_mix([(1, changed), (-1, composed)], device), smooth)
-        return _mix([(1, composed), (1, change)], device)
+        change = self._spread(_mix([(1, changed), (-1, base)], device), smooth)
+        return _mix([(1, composed), (1, self._move(change, moved))], device)
 
     def diffract(self, composed, tables):
         """Return composed channels with what diffraction in focus blurs of products, not of their factors.
@@ -169,13 +171,14 @@ class _Groups:
         if not found.is_diffracted:
             return composed
         sampled, smooth = tables.in_focus(self._plan)
+        moved = tables.displacement(self._plan)
         is_sharp, behind, more = False, None, None
         for group in range(self._count - 1, -1, -1):
             light, alpha = self._blurred[group]
             cover = alpha
             if group in found.sharp:
                 shape = composed.shape[1:]
-                light, alpha = (self._crop(one, shape) for one in self._sharp[group])
+                light, alpha = (self._crop(one, shape, moved) for one in self._sharp[group])
                 is_sharp = True
             if behind is not None:
                 table = sampled if is_sharp else smooth
@@ -199,14 +202,36 @@ class _Groups:
         mix = np.ones((channels, 1), np.float32) if one else np.eye(channels, dtype=np.float32)
         return blur(fields, table, mix, "edge", self._period, device=self._device)
 
-    def _crop(self, planes_, shape):
+    def _crop(self, planes_, shape, moved):
         """Return planes in the frame of the blurred ones; samples beyond them go on at the edge."""
-        starts = [
-            np.clip(self._margin + np.arange(size), 0, whole - 1).astype(np.int32)
-            for size, whole in zip(shape, planes_.shape[1:], strict=True)
+        inside = [self._margin + one for one in moved]
+        return _take(planes_, inside, shape, self._device)
+
+    def _move(self, planes_, moved):
+        """Return what lies (rows, cols) [sample] beyond each sample; samples go on at the edge."""
+        return _take(planes_, moved, planes_.shape[1:], self._device) if any(moved) else planes_
+
+
+def _take(planes_, first, shape, device):
+    """Return a frame of planes from the place `first` on, (rows, cols) [sample], by cubics between samples."""
+    starts, weights = [], []
+    for begin, size, whole in zip(first, shape, planes_.shape[1:], strict=True):
+        at = int(np.floor(begin)) + np.arange(size)
+        f = begin - np.floor(begin)
+        cubic = [
+            -f * (f - 1) * (f - 2) / 6,
+            (f * f - 1) * (f - 2) / 2,
+            -f * (f + 1) * (f - 2) / 2,
+            f * (f * f - 1) / 6,
         ]
-        weights = [np.ones((size, 1), np.float32) for size in shape]
-        return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=self._device)
+        taps = np.clip(at[:, None] + np.arange(-1, 3), 0, whole - 1)
+        count = min(4, whole)
+        start = np.clip(at - 1, 0, whole - count)
+        weight = np.zeros((size, count), np.float32)
+        np.add.at(weight, (np.arange(size)[:, None], taps - start[:, None]), cubic)
+        starts.append(start.astype(np.int32))
+        weights.append(weight)
+    return sample(planes_, starts[0], weights[0], starts[1], weights[1], device=device)
 
 
 def _sum(arrays, device):

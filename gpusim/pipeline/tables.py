@@ -161,11 +161,19 @@ class LensTables:
         return self._cache(f"transfer at {kernel}", tables_at_distance, *made_of)
 
     def in_focus(self, plan: Plan) -> tuple:
-        """Return tables of white in the channels in focus, (C, 1, ...): with samples, and of diffraction only."""
+        """Return tables of white in the channels in focus, (C, 1, ...): with samples, and of diffraction only.
+
+        Neither displaces.
+        """
         blur = plan.find(Blur)
         assert blur is not None
-        made_of = self._made_of(plan), blur.period, plan.weights, plan.flat, self.device
+        *lens, _, q = self._made_of(plan)
+        made_of = (*lens, (0.0, 0.0), q), blur.period, plan.weights, plan.flat, self.device
         return self._cache("transfer in focus", tables_in_focus, *made_of)
+
+    def displacement(self, plan: Plan) -> tuple[float, float]:
+        """Return how far tables displace samples, (rows, cols) [sample]."""
+        return self._made_of(plan)[3]
 
     def deviation(self, plan: Plan) -> float:
         """Return the deviation [pixel] of the Gaussian that equals the lens on its axis at 1/4 cycle per pixel."""

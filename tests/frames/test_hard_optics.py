@@ -40,8 +40,9 @@ def test_the_kernels_of_points_are_integrals_over_the_pixel():
                 / aperture**2
             )
             # 10 points to a ring integrate it to 1e-9; the airy pattern is 1 at most
-            assert abs(kernels.cores[0, dy, dx] - exact) < 1e-9
-        points = kernels.spread * (np.arange(kernels.parts) - (kernels.parts - 1) / 2)
+            assert abs(kernels.cores[0, 0, dy, dx] - exact) < 1e-9
+        (parts, _), (spread, _) = kernels.parts, kernels.spread
+        points = spread * (np.arange(parts) - (parts - 1) / 2)
         for dy, dx in ((CORE + 1, 0), (60, 31), (118, 117)):
             exact = (
                 dblquad(

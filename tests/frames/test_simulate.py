@@ -554,7 +554,6 @@ BAD = [
         ["flat", "--camera", "large.toml", "--size", "7x9"],
         "at least 8x8, one block of binning 4x4 in this mosaic",
     ),
-    (["flat", "--camera", "coarse.toml"], "f-number / pixel pitch"),
     (["light0.npz"], "allowed are 10 .."),
     (["negative.npz"], "radiance cannot be negative"),
     (["margin.npz"], "scene.margin = -5"),
@@ -606,7 +605,6 @@ def make_bad_files():
     camera("scaled", processor="scaling = 'automatic'")
     camera("psf", optics="psf = 'lens.npz'")
     np.savez("lens.npz", wavelengths_nm=[400.0, 700.0], psf=np.ones((2, 5, 5)), spacing_um=0.7)
-    camera("coarse", n=1, pitch=40)
     for name, high, values in (("blue", 600, "0.5, 0.5"), ("qe", 700, "-0.1, 1.2")):
         camera(
             name,

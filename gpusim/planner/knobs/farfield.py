@@ -180,7 +180,8 @@ def _asymmetry(question, reach):
     lens, pupil, found = question.lens, question.optics.pupil, 0.0
     if lens.symmetry.is_round:
         return 3 * float(np.hypot(*lens.displacement)) / reach
-    for q, wave in zip(question.q, question.optics.waves(question.scene.wavelengths), strict=True):
+    waves_ = question.optics.waves(question.scene.wavelengths, longest=np.inf)
+    for q, wave in zip(question.q, waves_, strict=True):
         aside = np.hypot(*(rim_centre(pupil, wave, q) - np.array(lens.displacement)))
         found = max(found, 3 * aside / reach + 7.5 * (rim_radius(pupil, wave, q) / reach) ** 2)
     return float(found)
