@@ -70,11 +70,7 @@ def merge_bracket(
         OutOfRange: if an exposure time or full_scale is out of range.
     """
     frames = _check_frames("merge_bracket", frames, MOST_FRAMES)
-    if simulator.readout.averaged > 1:
-        raise BadData(
-            "merge_bracket: digital binning hides full pixels; use sensor.binning_mode = "
-            '"charge" or no binning'
-        )
+    _check_single_pixels("merge_bracket", simulator)
     tables = _merge_tables(frames)
     order = np.argsort(
         -(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable"
@@ -226,10 +222,11 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
         time, float32 [e-]; `raw` is the same in 16 bits.
 
     Raises:
-        BadData: if the frames do not fit together, or their times do not rise.
+        BadData: if the frames do not fit together, are digitally binned, or their times do not rise.
         OutOfRange: if an exposure time is out of range.
     """
     frames = _check_frames("merge_reads", frames, MOST_FRAMES)
+    _check_single_pixels("merge_reads", simulator)
     tables = _merge_tables(frames)
     times, sensor = tables["time"], frames[0].camera.sensor
     if (np.diff(times) <= 0).any():
@@ -278,6 +275,15 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
         ms=ms,
         stages={"processor.merge": f"slope of {len(frames)} reads, 0 .. {last:.4g} s"},
     )
+
+
+def _check_single_pixels(function, simulator):
+    """Raise BadData if digital binning hides which pixels are full."""
+    if simulator.readout.averaged > 1:
+        raise BadData(
+            f"{function}: digital binning hides full pixels; use sensor.binning_mode = "
+            '"charge" or no binning'
+        )
 
 
 def _slope_weights(times, noise, rate):

@@ -524,7 +524,8 @@ class Readout:
         shape = prod(whole.shape[:-1]), whole.shape[-1]
         shape = shape if self.pixels == 1 else binned_shape(shape, self.sensor.binning, self.stride)
         steps = self.noise_steps(shape)
-        values, read = Values.of(steps, self._tables), steps[-1]
+        values = Values.of(steps, self._tables)
+        read = next(step for step in steps if step.stage == "sensor.noise")
         offset, amplitude = (values[name] if name else None for name in read.inputs[1:])
         numbers = self.numbers(0.0, gain) | {"seed": seed, "frame": first}
         # the kernel takes no negative electrons, so the reset noise is part of the offset
@@ -576,6 +577,8 @@ class Readout:
                 **numbers,
                 read=number,
             )
+            if self._digital:
+                raw = self._bin(raw, average=True)
             reads.append(np.array(device.numpy(raw)))
             previous = time
         return np.stack(reads)
@@ -590,7 +593,7 @@ class Readout:
             The times, float64 (reads,) [s].
 
         Raises:
-            BadData: No numbers, or the sensor bins digital numbers.
+            BadData: No numbers.
             OutOfRange: Times that are not finite, positive and rising.
         """
         try:
@@ -606,10 +609,6 @@ class Readout:
                 "times of the reads",
                 found.tolist(),
                 "one or more finite times, rising from above 0 s",
-            )
-        if self._digital:
-            raise BadData(
-                'non-destructive reads: the sensor bins digital numbers; wanted binning_mode = "charge"'
             )
         return found
 

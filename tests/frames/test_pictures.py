@@ -18,7 +18,7 @@ from gpusim.kernels.spectral.decode import decode
 from gpusim.measure.ideal import ideal
 from gpusim.optics.fusion import Watch
 from gpusim.optics.highlights import Highlights
-from gpusim.pipeline import light
+from gpusim.pipeline import light as light_steps
 from gpusim.planner.facts import Facts
 
 SHAPE = (48, 64)
@@ -182,8 +182,8 @@ def test_a_highlight_is_found_in_a_later_picture(device):
 @pytest.mark.parametrize("device", KINDS)
 def test_pictures_are_decoded_to_one_place(device, monkeypatch):
     """From the second on, the steps behind are started again without their host code, as for all scenes of a loop."""
-    calls, inner = [], light.planes
-    monkeypatch.setattr(light, "planes", lambda *given: calls.append(number) or inner(*given))
+    calls, inner = [], light_steps.planes
+    monkeypatch.setattr(light_steps, "planes", lambda *given: calls.append(number) or inner(*given))
     loop = gs.Simulator(METERED, device=device).loop(gs.picture(frame()), 0.01)
     for number in range(5):
         loop.update(scene=gs.picture(frame(number))).raw()

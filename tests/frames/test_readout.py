@@ -650,10 +650,17 @@ def test_reads_of_a_scene():
     for times in ([], [0.0], [-1.0, 1.0], [0.2, 0.1], [0.1, 0.1], [np.nan], [0.1, np.inf], [[0.1]]):
         with pytest.raises(OutOfRange, match=r"exposure_time = |times of the reads = "):
             gs.read_nondestructively(simulate, chart("flat", size=(8, 8)), times)
-    with pytest.raises(BadData, match="bins digital numbers"):
-        gs.read_nondestructively(
-            simulator(binning=(2, 2), binning_mode="digital"), chart("flat", size=(8, 8)), [0.1]
-        )
+
+
+def test_reads_are_binned_after_each_of_them():
+    """Digital binning rounds the mean of the same pixels' own numbers; a mosaic of one channel has neighbours."""
+    scene, how = chart("deadleaves", size=(16, 8)), {"noise": Noise(read=5.0), "bits": 14}
+    single = gs.read_nondestructively(simulator(**how), scene, TIMES, seed=3)
+    binned = gs.read_nondestructively(
+        simulator(**how, binning=(2, 2), binning_mode="digital"), scene, TIMES, seed=3
+    )
+    means = single.reshape(len(TIMES), 4, 2, 8, 2).mean(axis=(2, 4))
+    np.testing.assert_array_equal(binned, np.rint(means))
 
 
 # ------------------------------------------------------------------------------------------------------ rolling shutter
