@@ -260,7 +260,7 @@ class Light:
         if found is not None:
             return float(found), self._gain
         scene = self.scene.at(self._start) if isinstance(self.scene, Animation) else self.scene
-        view = scene.viewed(self.capture.motion.at(self._start))
+        view = scene.viewed(self.capture.motion.through(scene.view).at(self._start))
         by = self.simulator.expose(view, None, self._gain, self._plan)
         return by.exposure_time, by.gain
 

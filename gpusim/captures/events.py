@@ -257,7 +257,7 @@ def events_of(
         moved = scene
         if any(motion.travel):
             moved = see_from(scene, simulator.camera, motion.place(time)).scene
-        return moved.viewed(motion.at(time))
+        return moved.viewed(motion.through(moved.view).at(time))
 
     loop = simulator.loop(seen(start), 1.0)
 

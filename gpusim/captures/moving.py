@@ -194,6 +194,7 @@ def expose_motion(
     moving, travels = scene if isinstance(scene, Animation) else None, any(motion.travel)
     scene, sensor = moving.at(start) if moving else checked_scene(scene), simulator.camera.sensor
     checked_time(exposure_time)
+    motion = motion.through(scene.view)
     can_smear = instants is None and moving is None and scene.depth is None and not travels
     must_smear = False
     if isinstance(plan, Plan):  # it is for one form of content and one kind of view

@@ -1,6 +1,6 @@
 """Motion of a camera in front of a scene: along a path, and by hand shake."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import isfinite, log, pi
 
@@ -11,6 +11,7 @@ from gpusim.domain.scene import View
 
 WAVES = 24  # number of waves of a shake along each axis
 SLOWEST, FASTEST = 0.5, 12.0  # [Hz] frequencies of a hand: from sway to tremor
+PLAIN = View()
 ROLL = 1e-3  # [rad/pixel] rotation by a hand per displacement, for a frame 1000 pixels wide
 
 
@@ -29,6 +30,7 @@ class Motion:
         seed: Seed of the shake.
         travel: Speed of the camera's place down, right and ahead [m/s]: near things move more than
             far ones, so the scene needs depth.
+        base: View of the scene at rest, before which the camera moves; see `through`.
 
     Raises:
         BadData: A value is no finite number.
@@ -42,6 +44,7 @@ class Motion:
     shake: float = 0.0
     seed: int = 0
     travel: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    base: View = PLAIN
 
     def __post_init__(self):
         try:
@@ -93,11 +96,20 @@ class Motion:
             OutOfRange: Shift or zoom of the view is outside its range, see `View`.
         """
         down, right, turn = self._shake_at(time)
-        return View(
+        own = View(
             (self.pan[0] * time + down, self.pan[1] * time + right),
             self.roll * time + turn,
             self.zoom * self.zooming**time,
         )
+        return own if self.base.is_plain else self.base.compose(own)
+
+    def through(self, view: View) -> "Motion":
+        """Return the same motion of the frame that a view shows.
+
+        Args:
+            view: View of a scene at rest.
+        """
+        return self if view.is_plain else replace(self, base=view)
 
     def _shake_at(self, time):
         """Return the displacement by hand shake: rows, columns [pixel] and rotation [rad]."""

@@ -93,6 +93,15 @@ class View:
         c, s = cos(self.rotation) / self.zoom, sin(self.rotation) / self.zoom
         return c * y + s * x + ratio * self.shift[0], c * x - s * y + ratio * self.shift[1]
 
+    def compose(self, inner: "View") -> "View":
+        """Return the view that shows through this view what `inner` shows.
+
+        Args:
+            inner: View of the frame that this view makes.
+        """
+        down, right = self.place(*inner.shift)
+        return View((down, right), self.rotation + inner.rotation, self.zoom * inner.zoom)
+
     def locate(self, y: Any, x: Any, ratio: float = 1.0) -> tuple[Any, Any]:
         """Return the frame positions that show scene positions: the inverse of `place`.
 

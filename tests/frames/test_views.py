@@ -10,11 +10,12 @@ from devices import KINDS
 
 import gpusim as gs
 from gpusim.backends import open_device
+from gpusim.captures.capture import Light
 from gpusim.domain.account import Bound
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.domain.motion import FASTEST, Motion
-from gpusim.domain.scene import Scene
+from gpusim.domain.scene import Scene, View
 from gpusim.io.scene.npz import write_npz
 from gpusim.judge.truth import true_mean
 from gpusim.kernels.optics.distort import distort
@@ -293,3 +294,25 @@ def test_a_hand_shakes_as_much_as_asked():
         == Motion(shake=3.0, seed=1).at(1.5)
         != Motion(shake=3.0, seed=2).at(1.5)
     )
+
+
+def test_a_view_of_a_view_is_one_view():
+    """A point of the inner frame is found by one place after the other, with their own formulas."""
+    outer, inner = View((2.0, -3.0), 0.4, 1.5), View((1.5, 0.5), -0.1, 1.2)
+    y, x = 4.0, -7.0
+    for view in (inner, outer):
+        turn = np.exp(1j * view.rotation) / view.zoom
+        place = complex(x, y) * turn  # from the columns to the rows
+        y, x = view.shift[0] + place.imag, view.shift[1] + place.real
+    assert outer.compose(inner).place(4.0, -7.0) == pytest.approx((y, x))
+
+
+@pytest.mark.parametrize("pan", [(0.0, 0.0), (1e-6, 0.0)])
+def test_a_motion_keeps_the_view_of_its_scene(pan):
+    scene = gs.chart("deadleaves", size=(24, 16), seed=3).viewed(View((2.0, -3.0)))
+    simulator = gs.Simulator(gs.open_camera("phone").with_(exposure_time_ms=8), device="opencl")
+    still = np.array(simulator.device.numpy(simulator.expose(scene).mean))
+    light = Light(gs.Capture(motion=gs.Motion(pan=pan)), simulator, scene, 0)
+    moving = np.array(simulator.device.numpy(light.expose().mean))
+    # 1e-8 of a pixel is displaced
+    np.testing.assert_allclose(moving, still, rtol=1e-5, atol=1e-5 * still.max())

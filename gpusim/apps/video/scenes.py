@@ -121,7 +121,7 @@ class Moving:
             shown = Animation(scene, self.actors).at(time) if self.actors else scene
             if self._camera is not None:
                 shown = move_camera(shown, self._camera, self.motion.place(time))
-            yield shown.viewed(self.motion.at(time))
+            yield shown.viewed(self.motion.through(shown.view).at(time))
 
 
 def check_size(scene: Scene, shape, name, first) -> Scene:
