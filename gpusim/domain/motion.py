@@ -1,6 +1,6 @@
 """Motion of a camera in front of a scene: along a path, and by hand shake."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, log, pi
 
@@ -44,7 +44,7 @@ class Motion:
     shake: float = 0.0
     seed: int = 0
     travel: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    base: View = PLAIN
+    base: View = field(default=PLAIN, repr=False)
 
     def __post_init__(self):
         try:
