@@ -52,7 +52,7 @@ class Asked:
 def exposures(question, simulator) -> list[Asked]:
     """Return the exposures of a question; all frames and reads are made, to find crashes."""
     names, scene = question.captures, question.scene
-    moves = bool(names & {"motion", "rolling shutter"})
+    moves = any(question.motion.pan) or "rolling shutter" in names  # flicker, too
     views = [made_scene(scene, view) for view in question.views]
     found: list[Asked] = []
     if names & {"video", "preview", "batch"}:
@@ -134,6 +134,8 @@ def answers(question, asked: Asked):
     if asked.view is not None:
         seen = made_scene(scene, asked.view)
         return outside.answers(seen, camera, asked.seconds)
+    if any(not view.is_plain for view in question.views):
+        raise OutOfRange("views", "behind a rolling shutter", "a plain view")
     if scene.depth is not None and any(question.motion.pan):
         raise OutOfRange("motion", "of a scene with depth", "a scene without depth")
     return _moving(question, asked)

@@ -2,8 +2,10 @@
 
 A point of the pupil sees sharp sheets, displaced by the slope of each sheet's wavefront there, and
 nearer ones hide farther ones. The mean over the pupil is the image of geometrical optics. Sheets
-that are composed after their blur miss the covariance of coverage and light over the pupil. The
-difference of the two, blurred by the lens in focus, is added to sums that are composed so.
+that are composed after their blur miss the covariance of coverage and light: over the pupil, and
+within the blur of the lens in focus, before which points are hidden. The difference of rays, blurred
+by the lens in focus, and of the composition of each sheet's mean, blurred so, is added to sums that
+are composed so.
 """
 
 import numpy as np
@@ -64,17 +66,20 @@ def hidden_difference(lens, sheets, weights, chosen_from, by_distance) -> np.nda
             seen = seen + through * light
             through = through * (1 - np.clip(cover, 0, 1))
             mean[0], mean[1] = mean[0] + light, mean[1] + cover
-    apart, through = 0.0, 1.0
-    for light, cover in means:
-        apart = apart + through * light / len(u)
-        through = through * (1 - np.clip(cover / len(u), 0, 1))
-    change = seen / len(u) - apart
     place = (0.0, 0.0, optics.object_distance)
     if optics.model == "measured":
         (own,) = measured_kernels(lens, middle, [place[:2]], NEAR)
     else:
         (own,) = kernels(lens, middle, [place], NEAR)
-    change = scipy.signal.fftconvolve(change, own[None] / own.sum(), "same", axes=(1, 2))
+
+    def blurred(planes):
+        return scipy.signal.fftconvolve(planes, own[None] / own.sum(), "same", axes=(1, 2))
+
+    apart, through = 0.0, 1.0
+    for light, cover in means:
+        apart = apart + through * blurred(light / len(u))
+        through = through * (1 - np.clip(blurred(cover[None] / len(u))[0], 0, 1))
+    change = blurred(seen / len(u)) - apart
     ratio = int(scene.samples_per_pixel)
     places = [
         pad + at + ratio * np.arange(n) for at, n in zip(chosen_from, scene.shape, strict=True)

@@ -8,10 +8,11 @@ samples, and a distance is the nearest sample's.
 Within a sheet each sample is spread with the transfer function of its own distance, field point and
 wavelength: splines of degree DEGREE in the dioptres, through distances that differ by at most STEP
 waves of defocus. Sheets are composed front to back, wavelength by wavelength, in a world that
-continues to infinity. This is exact if at each place at most one sheet is out of focus. Two sheets
-out of focus are hidden and seen through the same points of the pupil. That covariance is the
-difference of two images of geometrical optics: rays through POINTS points of the pupil, with the
-visibility at each point, and with mean coverages. The lens in focus blurs the difference.
+continues to infinity. The product of spreads leaves out that sheets are hidden and seen through the
+same points of the pupil, and that a point's light is hidden before it is spread. That covariance is
+the difference of two images: of geometrical optics by rays through POINTS points of the pupil, with
+the visibility at each point, blurred by the lens in focus; and the composition of each sheet's mean
+light and coverage, blurred so.
 """
 
 import dataclasses
@@ -264,25 +265,26 @@ def hidden_difference(camera, scene, sheets, weights) -> np.ndarray:
             through = through * (1 - np.clip(cover, 0, 1))
             mean[0], mean[1] = mean[0] + light, mean[1] + cover
     count = points.shape[1]
+    settings = camera, scene, rim, middle
     apart: float | np.ndarray = 0.0
     through = 1.0
     for light, cover in means:
-        apart = apart + through * light / count
-        through = through * (1 - np.clip(cover / count, 0, 1))
-    change = np.asarray(seen / count - apart)
-    return _blur_in_focus(change, camera, scene, rim, middle)
+        apart = apart + through * _blur_in_focus(np.asarray(light) / count, *settings)
+        hidden = _blur_in_focus(np.asarray(cover)[None] / count, *settings)[0]
+        through = through * (1 - np.clip(hidden, 0, 1))
+    return _blur_in_focus(np.asarray(seen) / count, *settings) - apart
 
 
-def _blur_in_focus(change, camera, scene, rim, wavelength):
-    """Return changes of the light (C, rows, cols) at the pixels, blurred by the lens in focus."""
+def _blur_in_focus(planes, camera, scene, rim, wavelength):
+    """Return planes (C, rows, cols) at the pixels, blurred by the lens in focus."""
     cell = [
         side / camera.sensor.pixel_pitch * scene.samples_per_pixel
         for side in camera.sensor.aperture
     ]
     q = wavelength * 1e-9 * camera.optics.working_f_number / camera.sensor.pixel_pitch
     q = q * scene.samples_per_pixel
-    spectrum = scipy.fft.fft2(change)
-    fy, fx = (np.fft.fftfreq(n) for n in change.shape[1:])
+    spectrum = scipy.fft.fft2(planes)
+    fy, fx = (np.fft.fftfreq(n) for n in planes.shape[1:])
     s = np.minimum(np.hypot(fy[:, None], fx) * q, 1)
     round_pupil = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
     spectrum = spectrum * round_pupil * np.sinc(cell[0] * fy)[:, None] * np.sinc(cell[1] * fx)
