@@ -52,7 +52,8 @@ class Asked:
 def exposures(question, simulator) -> list[Asked]:
     """Return the exposures of a question; all frames and reads are made, to find crashes."""
     names, scene = question.captures, question.scene
-    moves = any(question.motion.pan) or "rolling shutter" in names  # flicker, too
+    still = "motion" not in names or not any(question.motion.pan)
+    moves = not still or "rolling shutter" in names  # flicker, too
     views = [made_scene(scene, view) for view in question.views]
     found: list[Asked] = []
     if names & {"video", "preview", "batch"}:
