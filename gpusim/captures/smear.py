@@ -389,8 +389,6 @@ def _mix(device, content) -> tuple[Content, Any, np.ndarray]:
 def _scene(device, scene, content, light) -> Scene:
     """Return a scene with other planes of light."""
     values = np.array(device.numpy(light), np.float32)
-    if content.is_spectral or np.all(content.entry_spectra >= 0):
-        np.maximum(values, 0, out=values)  # waves ring next to steps
     made = replace(scene, content=content)
     return made.stored(**{content.samples[-1]: values})
 

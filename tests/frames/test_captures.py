@@ -107,6 +107,7 @@ def test_frames_in_motion_follow_one_another():
         start += seconds + readout
 
 
+@pytest.mark.slow
 def test_reads_in_motion_grow_by_what_each_interval_collects():
     """Differences of reads scatter about the light of their intervals: means over many frames."""
     still = camera(noise=replace(PHONE.sensor.noise, prnu=0.0, dsnu=0.0), row_time=0.0)

@@ -40,6 +40,7 @@ DIFFRACTED = (
 NEGLIGIBLE = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
 WINDOW = 256  # [sample] a side of the part of a picture in which that is predicted
 FIELDS = ("light", "alpha", "radius")
+NEAR_FRAME = 4  # [sample] beyond a blur's reach
 LEFT = 0.15  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
 NEAR = 4.0  # [sample] over which noise is taken from the light
@@ -212,7 +213,7 @@ def _with_occlusion(question, depth, probes, placed, notes):
     if tolerance is None or product.ratio(tolerance) > NEGLIGIBLE:
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
-        product = product.times(LEFT)
+        product = product.times(_left_of(question, sheets))
     # rays are those of the axis, and of a thin lens
     is_exact = question.lens.is_uniform and not question.lens.distance_model
     left = found.error if is_exact else found.error + found.seen
@@ -233,6 +234,23 @@ def _with_occlusion(question, depth, probes, placed, notes):
         bound = _located(question, hidden_light(sheets), picture, known)
         bounds[HIDDEN] = replace(bound, rms=rms)
     return replace(depth, occlusion=found, bounds=bounds)
+
+
+def _left_of(question, sheets):
+    """Share of what diffraction in focus makes of products that is left after it was computed.
+
+    All of it where it is not known well: behind aberrations in focus, and where an edge lies so
+    near the frame's that light from outside takes part.
+    """
+    if not question.lens.is_airy:
+        return 1.0
+    for sheet in sheets[:-1]:
+        reach = int(np.ceil(np.abs(sheet.radius).max())) + NEAR_FRAME
+        inside = np.zeros(sheet.alpha.shape, bool)
+        inside[reach:-reach, reach:-reach] = True
+        if np.ptp(sheet.alpha[~inside]) > 0:
+            return 1.0
+    return LEFT
 
 
 def _densest(sheets):
