@@ -239,6 +239,9 @@ class Lens(Protocol):
     def q(self, wavelengths) -> np.ndarray:
         """Return the wavelengths [nm] times working f-number over the distance of samples, shape (L,)."""
 
+    def waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None) -> np.ndarray:
+        """Return wavefronts in the pupil, flat ones of a lens without a pupil: see `Optics.waves`."""
+
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """Return the energies of pixels around a point, and the middle of the light far from it.
 
@@ -303,6 +306,10 @@ class _OnGrid:
     def q(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
         return np.asarray(wavelengths) * 1e-9 * self.optics.working_f_number / self.pitch
+
+    def waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        return np.zeros((len(wavelengths), 1, 1))
 
     def nanometres(self, q) -> np.ndarray:
         """Return the wavelengths [nm] of q, shape (L,)."""
