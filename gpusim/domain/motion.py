@@ -108,6 +108,9 @@ class Motion:
 
         Args:
             view: View of a scene at rest.
+
+        Returns:
+            The motion, whose views are composed with this one.
         """
         return self if view.is_plain else replace(self, base=view)
 

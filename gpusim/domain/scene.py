@@ -98,6 +98,9 @@ class View:
 
         Args:
             inner: View of the frame that this view makes.
+
+        Returns:
+            The view of both.
         """
         down, right = self.place(*inner.shift)
         return View((down, right), self.rotation + inner.rotation, self.zoom * inner.zoom)
