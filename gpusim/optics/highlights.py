@@ -310,17 +310,13 @@ def _rim_kernels(lens, wavelengths, cores, centres, core, reach):
     step = max(q.min() / PER_RING, 1 / 256)
     away = float(np.abs(centres).max())
     radii = step * np.arange(ceil(np.sqrt(2) * (reach + away + 1) / step) + 2)
-    spots, diffuser = lens.spots, optics.diffuser / lens.pitch
     profiles, lines = np.zeros((len(q), len(radii))), []
     for own, one, wave in zip(profiles, q, waves, strict=True):
         middle = points.rim_centre(optics.pupil, wave, one)
-        own[:] = points.round_profile(
-            optics.pupil, wave, one, middle, radii, spread, spots, diffuser
-        )
+        pupil = optics.pupil, wave, one, middle
+        own[:] = points.round_profile(*pupil, radii, spread, lens.spots)
         if optics.pupil.sides.size:
-            lines.append(
-                points.streaks(optics.pupil, wave, one, middle, lens.aperture, spots, diffuser)
-            )
+            lines.append(points.streaks(*pupil, lens.aperture, lens.spots))
     width = points.corner_width(lens.aperture)
     return PointKernels(cores, profiles, step, parts, spread, centres, tuple(lines), width)
 

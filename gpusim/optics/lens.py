@@ -461,25 +461,18 @@ class PupilLens(_OnGrid):
         return window(self.optics.pupil, waves)[1]
 
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
-        """See `Lens`. The energies are exact integrals."""
+        """See `Lens`. The energies are exact integrals, without a diffuser."""
         optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
         waves = self.waves(wavelengths, *_polar(place))
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:]
-        soft = optics.diffuser / self.pitch
-        more = int(np.ceil(5 * soft)) if soft and len(at) > 1 and (np.diff(at) == 1).all() else 0
-        wide = np.arange(at[0] - more, at[-1] + more + 1) if more else at
         found, centres = np.empty((len(waves), len(at), len(at))), np.empty((len(waves), 2))
         for own, centre, q, wave, shift in zip(
             found, centres, self.q(wavelengths), waves, shifts, strict=True
         ):
             middle = (optics.pupil, wave, q)
-            energy = points.near_energies(
-                *middle, wide - shift[0], wide - shift[1], self.aperture, self.spots
+            own[:] = points.near_energies(
+                *middle, at - shift[0], at - shift[1], self.aperture, self.spots
             )
-            if more:
-                energy = scipy.ndimage.gaussian_filter(energy, soft, truncate=5.0)
-                energy = energy[more:-more, more:-more]
-            own[:] = energy
             centre[:] = points.rim_centre(*middle) + shift
         return found, centres.mean(axis=0)
 

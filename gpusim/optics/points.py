@@ -164,9 +164,7 @@ def rim_radius(outline: Pupil, wave, q: float) -> float:
     return float(2 * q * np.hypot(x - x.mean(), y - y.mean()).max())
 
 
-def round_profile(
-    outline: Pupil, wave, q: float, centre, radii, part, spots, diffuser: float
-) -> np.ndarray:
+def round_profile(outline: Pupil, wave, q: float, centre, radii, part, spots) -> np.ndarray:
     """Return the energy per square sample that circular rims spread, in the mean over directions, (len(radii),).
 
     Args:
@@ -177,7 +175,6 @@ def round_profile(
         radii: Distances from the middle, evenly spaced from 0 on [sample].
         part: Height and width over which it is averaged [sample].
         spots: Distances of a low-pass filter's spots from their middle, (rows, cols) [sample].
-        diffuser: Standard deviation of a Gaussian blur [sample].
     """
     rims = [] if outline.sides.size else [(1.0, 1.0)]
     if outline.obscuration:
@@ -203,10 +200,10 @@ def round_profile(
     smooth = sum(amplitude**2 for amplitude, *_ in terms).mean(axis=1)
     # averaging over a small area adds a quarter of its variance times the Laplacian, 9 / r^2 of r^-3
     variance = sum(side**2 / 12 for side in part) + sum(spot**2 for spot in spots)
-    smooth = smooth * (1 + 9 / 4 * (variance + 2 * diffuser**2) / coarse**2)
+    smooth = smooth * (1 + 9 / 4 * variance / coarse**2)
     total = np.exp(np.interp(np.log(np.maximum(radii, coarse[0])), np.log(coarse), np.log(smooth)))
     for (a, f, path, side), (b, g, other, its) in combinations(terms, 2):
-        seen = np.exp(-2 * (pi * diffuser * (f - g)) ** 2)
+        seen = np.ones(DIRECTIONS)
         for along, cell, spot in zip((np.sin(angle), np.cos(angle)), part, spots, strict=True):
             wave_ = (f - g) * along
             seen = seen * np.sinc(cell * wave_) * np.cos(2 * pi * spot * wave_)
@@ -252,7 +249,7 @@ def line_angles(outline: Pupil) -> np.ndarray:
     return sides[: len(sides) // 2] if len(sides) % 2 == 0 else sides
 
 
-def streaks(outline: Pupil, wave, q: float, centre, part, spots, diffuser: float) -> Streaks:
+def streaks(outline: Pupil, wave, q: float, centre, part, spots) -> Streaks:
     """Return the streaks of a polygonal pupil. For the arguments see `round_profile`."""
     angles, sides = line_angles(outline), outline.sides
     n = len(sides)
@@ -280,10 +277,6 @@ def streaks(outline: Pupil, wave, q: float, centre, part, spots, diffuser: float
                 pair = np.zeros(2 * round(spot * one * FINE) + 1)
                 pair[[0, -1]] = 0.5
                 weights = np.convolve(weights, pair)
-        if diffuser:
-            far = ceil(5 * diffuser * FINE)
-            bell = np.exp(-((np.arange(-far, far + 1) / (diffuser * FINE)) ** 2) / 2)
-            weights = np.convolve(weights, bell / bell.sum())
         padded = np.pad(profile, len(weights) // 2, mode="edge")
         profile[:] = np.convolve(padded, weights, "valid")[: len(profile)]
     # two corners a pair of lines if opposite sides share one; (2 q / 2 pi)^2 of the tangents' factors

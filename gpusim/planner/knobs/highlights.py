@@ -246,8 +246,9 @@ def can_be_split(question: Question) -> bool:
         or question.period
         or question.facts.depth is not None
         or not question.scene.view.is_plain
+        or question.optics.diffuser
     ):
-        return False
+        return False  # a diffuser acts between pixels, and the kernels are known at pixels
     if question.distortion is not None and question.scene.border == "reflect":
         return False  # the mirrored world is distorted, where the formula may not go
     if has_airy_kernels(lens) and question.distortion is None:
