@@ -1,4 +1,4 @@
-"""Mean electrons of captures for `bench/triples.py --kinds features`: by the product, and by own sums.
+"""Mean electrons of captures for `bench/triples.py --kinds features`, from the product and from own sums.
 
 `exposures` asks the product for the frames of a question. `answers` integrates the rates of
 `triple_outside.py` over the time that each row is open: rates at a few instants are cubic splines in
@@ -35,7 +35,7 @@ MARGIN = 24  # [sample] that a shifted scene fades over
 
 @dataclass(frozen=True, eq=False)
 class Asked:
-    """An exposure by the product.
+    """An exposure that the product made.
 
     mean: electrons. account, verdict: of the product. seconds: exposure time. view: of the scene,
     None if it moves from `start` on.

@@ -20,7 +20,7 @@ BORDERS = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect", "sc
 
 
 class _Sheet(NamedTuple):
-    """A surface. known: where its light is from the scene, 0 .. 1; elsewhere it is guessed."""
+    """A surface. known: share of its light that is from the scene, 0 .. 1; the rest is guessed."""
 
     content: Content
     alpha: np.ndarray
@@ -79,7 +79,7 @@ def move_camera(scene: Scene, camera: Camera, place: tuple[float, float, float])
 
 
 def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) -> Moved:
-    """Return a scene from another place, and where its light is guessed, see `move_camera`.
+    """Return a scene from another place, and the places whose light is guessed, see `move_camera`.
 
     A sample at the place p of the picture and the distance Z moves to (p Z - f (down, right)) /
     (Z - ahead). Where a map of distances jumps, it is cut into surfaces, and each goes on behind the
@@ -252,7 +252,7 @@ def _in_order(layers, behind):
     for layer in reversed(layers):
         depth = np.asarray(layer.depth)
         covered = layer.alpha > 0
-        # what a layer does not cover has no distance of its own
+        # places that a layer does not cover have no distance of their own
         low, high = (
             (float(depth[covered].min()), float(depth[covered].max()))
             if covered.any()

@@ -389,7 +389,7 @@ def _judge(made, others):
 
 
 def matrix(cells: Iterable[Cell], names: Iterable[str] | None = None) -> list[str]:
-    """Return the matrix as lines of text: a row for each feature, and what the marks mean.
+    """Return the matrix as lines of text: a row for each feature, and the meaning of the marks.
 
     Args:
         cells: Cells of `combinations`.

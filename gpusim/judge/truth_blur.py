@@ -98,7 +98,7 @@ def _period_and_places(camera, scene):
 
 
 def _near_planes(light, camera, scene, border, wanted):
-    """Yield number, mean irradiance and that of a uniform scene of each wanted wavelength."""
+    """Yield number, mean irradiance, and the irradiance of a uniform scene, of each wanted wavelength."""
     optics, _, period, places = _period_and_places(camera, scene)
     pitch = camera.sensor.pixel_pitch / float(scene.samples_per_pixel)
     wide = [side / pitch for side in camera.sensor.aperture]

@@ -1,7 +1,7 @@
 """The truth of a scene with depth, float64: own sheets, own distances, visibility by rays.
 
-A scene is cut into sheets, nearest first: its layers, and its picture where the circle of confusion
-jumps. Behind a nearer sheet a picture shows nothing; the nearest farther sample continues there.
+A scene is cut into sheets, nearest first: its layers, and its picture, cut at jumps of the circle of
+confusion. Behind a nearer sheet a picture shows nothing; the nearest farther sample continues there.
 The lens and the view displace every sheet: light and coverage are band-limited between their
 samples, and a distance is the nearest sample's.
 

@@ -75,9 +75,9 @@ def varying_rates(light, camera, scene, parts) -> list[np.ndarray]:
 
 
 def flat_fields(camera, scene, parts) -> list:
-    """Return what a blur that varies makes of a flat field, relative to the axis, one array (h, w) per part.
+    """Return the flat field of a blur that varies, relative to the axis, one array (h, w) per part.
 
-    It is what a relative illumination that is given has in it already; 1 without one.
+    A relative illumination that is given includes it already; 1 without one.
     """
     if isinstance(camera.optics.relative_illumination, str) or lens_of(camera).is_uniform:
         return [1.0] * len(parts)

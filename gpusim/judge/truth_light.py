@@ -100,7 +100,7 @@ def placed_light(camera, scene, light=None, is_flux: bool = True) -> np.ndarray:
         camera: The camera.
         scene: The scene.
         light: Planes of samples instead of the scene's, (L, rows, cols).
-        is_flux: Whether a place is brighter where the lens crowds points.
+        is_flux: Whether places at which the lens crowds points are brighter.
     """
     if light is None:
         light = scene.content.on_host().bands_at(slice(None))

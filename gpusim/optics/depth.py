@@ -189,7 +189,7 @@ def nearest(missing: np.ndarray) -> np.ndarray:
 def flatten(scene: Scene):
     """Return content and depth of the picture that a scene with layers shows.
 
-    Light of a Basis or a Cube is mixed by the coverage. Distances, and other content, are those of the layer that
+    Light of a Basis or a Cube is mixed by the coverage. Distances, and other content, are from the layer that
     covers half of a sample. The content can be read on the host, and is then there.
     """
     content, depth = scene.content.on_host(), scene.depth

@@ -27,7 +27,7 @@ RIMS = (
     4,
     2,
 )  # [sample] around a frame that are displaced as well, where the lens's model goes so far
-STEEPEST = 2.0  # largest flux factor with the rim over that of the frame
+STEEPEST = 2.0  # largest flux factor with the rim over the frame's own
 RIM_PLACES = 33  # along an axis, at which these are looked at
 # places along rows and columns whose spreads give the flat field, as in `gpusim.optics.field`, and
 # [sample] between them, at least
@@ -53,7 +53,7 @@ class DistortionGrid:
         reach: Source samples beyond the edge of the source frame that the frame sees; 0 if the
             source is large enough.
         is_even: Whether flat fields stay flat, because a relative illumination that is given
-            says what they look like. Else they are brighter where points crowd.
+            says how bright they are. Else they are brighter at places at which points crowd.
     """
 
     nodes: np.ndarray

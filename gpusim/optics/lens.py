@@ -393,12 +393,12 @@ class PupilLens(_OnGrid):
             return self._ray_tables(waves, q, rows, cols, stages)
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
-        optics, spots = self.optics, self._spots
+        optics, images = self.optics, tuple(2 * spot for spot in self.spots)
         soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
         if not is_too_costly(optics.pupil, waves):
-            return stages.pupil(optics.pupil, waves, q, *settings, spots, soft, self.displacement)
+            return stages.pupil(optics.pupil, waves, q, *settings, images, soft, self.displacement)
         flat = np.zeros((len(q), 1, 1))
-        focus = stages.pupil(optics.pupil, flat, q, *settings, spots, soft, self.displacement)
+        focus = stages.pupil(optics.pupil, flat, q, *settings, images, soft, self.displacement)
         other = difference_tables(
             optics.pupil,
             waves,
@@ -406,7 +406,7 @@ class PupilLens(_OnGrid):
             rows,
             cols,
             self.aperture,
-            tuple(np.divide(spots, 2)),
+            self.spots,
             soft,
             tuple(-np.array(self.displacement)),
         )
@@ -415,18 +415,12 @@ class PupilLens(_OnGrid):
     def _ray_tables(self, waves, q, rows, cols, stages):
         """Tables of rays, see `gpusim.optics.geometric`."""
         move = -np.array(self.displacement)
-        spots, soft = np.divide(self._spots, 2), self.optics.diffuser / self.pitch
+        spots, soft = self.spots, self.optics.diffuser / self.pitch
         pupil, settings = self.optics.pupil, (self.aperture, spots, soft, move)
         tables = ray_tables(pupil, waves, q, rows, cols, *settings)
         if symmetric(pupil, waves) and not any(self.displacement):
             return stages.given(tables[:, : rows // 2 + 1].real.astype(np.float32))
         return stages.given(tables.astype(np.complex64).view(np.float32))
-
-    @property
-    def _spots(self):
-        """Distances of a low-pass filter's images, (rows, cols) [sample]."""
-        down, across = self.optics.birefringence
-        return down / self.pitch, across / self.pitch
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
@@ -495,7 +489,7 @@ class PupilLens(_OnGrid):
         optics, q = self.optics, self.q(wavelengths)
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
-        spots, soft = np.divide(self._spots, 2), optics.diffuser / self.pitch
+        spots, soft = self.spots, optics.diffuser / self.pitch
         settings = size, self.aperture, spots, soft
         kernel = coarse_kernel if self.is_coarse else sampled_kernel
         return np.array(

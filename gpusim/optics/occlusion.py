@@ -41,7 +41,7 @@ class Sheet:
     guessed: np.ndarray | None = None
 
     def at(self, rows: np.ndarray, cols: np.ndarray, flux: np.ndarray, border: str) -> "Sheet":
-        """Return the layer where a lens or a view puts it.
+        """Return the layer at the place to which a lens or a view moves it.
 
         Args:
             rows: Row of the source of each place, shape (rows, cols).
@@ -79,7 +79,7 @@ class Occlusion:
             shape (rows, cols).
         seen: Bound of what the sum changes where it is computed, scaled to the changes that were tried [brightness],
             shape (rows, cols).
-        is_diffracted: Whether what diffraction in focus makes of products is computed, too.
+        is_diffracted: Whether the blur of products by diffraction in focus is computed, too.
         sharp: Groups of layers whose blurs stay within their samples.
     """
 

@@ -1,7 +1,7 @@
-"""Scenes of directions: what a lens shows of a panorama.
+"""Scenes of directions: the image of a panorama behind a lens.
 
 The samples of an equirectangular scene are directions. `view_panorama` follows the chief ray of each place of the
-image to its direction. So fisheyes see beyond 90 degrees, where a plane ends.
+image to its direction. So fisheyes see beyond 90 degrees, at which a plane ends.
 
 Radiance is conserved along rays. A lens whose image of the angle t from the axis lies at r(t) spreads the light of a
 solid angle over the area r dr: a place gets radiance x f^2 sin(t) / (r dr/dt), 1 on the axis of a lens with r = f t
@@ -44,7 +44,7 @@ def view_panorama(
     roll: float = 0.0,
     samples_per_pixel: float | None = None,
 ) -> Scene:
-    """Return what a camera sees of a panorama.
+    """Return the part of a panorama that a camera sees, as an image.
 
     Its samples are places in the image of this lens: the frame displaces them no more, and adds
     only a relative illumination that is given. Each is the mean of the panorama over its area.
@@ -226,7 +226,7 @@ def _halve(planes) -> Iterator[np.ndarray]:
 
 
 def _turn(yaw, pitch, roll):
-    """Rotation of directions (right, down, ahead) of the camera into those of the panorama, (3, 3)."""
+    """Rotation of directions (right, down, ahead) of the camera into directions of the panorama, (3, 3)."""
     (cy, cp, cr), (sy, sp, sr) = np.cos([yaw, pitch, roll]), np.sin([yaw, pitch, roll])
     about_down = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
     about_right = np.array([[1, 0, 0], [0, cp, -sp], [0, sp, cp]])

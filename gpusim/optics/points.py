@@ -1,7 +1,7 @@
 """Energy of pixels around a point of light behind any pupil: exact near the point, by the pupil's rim far from it.
 
 The field at x samples from the image is U(s) = integral of exp(2 pi i (W(u) + s u)) over the pupil, s = x / 2 q; a
-pixel of area 1 has the energy |U|^2 / (4 pi A q^2), A the open area over that of the circle.
+pixel of area 1 has the energy |U|^2 / (4 pi A q^2), A the open area over the circle's.
 
 Near the point (`near_energies`) the pupil is cut into chords along x with Gauss-Legendre nodes in each. Corners are
 ends of panels, and y = sin t on a circle, so that the rule converges exponentially. Its factors are separable in the
@@ -17,7 +17,7 @@ and pixels see the mean of that (`Round`). A straight side of normal n and tange
 
     (n v / v^2) F(s t) / 2 pi,    F(a) = integral of exp(2 pi i (W + a l)) along the side,
 
-that is a streak along n, r^-2 in length and |F|^2 across; corners between two sides fill what is between the streaks
+that is a streak along n, r^-2 in length and |F|^2 across; corners between two sides fill the gaps between the streaks
 with r^-4 (`Streaks`). Sources: Keller, J. Opt. Soc. Am. 52, 116 (1962), for rims; Born and Wolf, 8.5 and 8.8.
 """
 
@@ -235,7 +235,7 @@ class Streaks:
     Attributes:
         angles: Directions n of the lines [rad], from x towards y, shape (D,).
         profiles: T at -ACROSS .. ACROSS, FINE to a sample, (D, n).
-        corners: Factor of what is between the streaks.
+        corners: Factor of the light between the streaks.
     """
 
     angles: np.ndarray
@@ -263,7 +263,7 @@ def streaks(outline: Pupil, wave, q: float, centre, part, spots) -> Streaks:
         tangent = np.array([np.cos(angle), -np.sin(angle)])
         y, x = (outline.inner_radius * normal[i] + half * nodes * tangent[i] for i in (0, 1))
         line = number % len(angles)
-        # the line's own tangent: that of its first side
+        # the line's own tangent: its first side's
         own = np.array([np.cos(angles[line]), -np.sin(angles[line])])
         at = (across + own @ centre) / (2 * q) * (own @ tangent)
         phases = np.exp(2j * pi * np.outer(at, half * nodes))

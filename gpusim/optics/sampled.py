@@ -328,7 +328,7 @@ def _difference(pupil, wave, half, focus, fading):
 def difference_tables(
     pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift
 ) -> np.ndarray:
-    """Return tables of wavefronts less those of the pupil in focus, complex64 (bands, rows, cols // 2 + 1).
+    """Return tables of wavefronts less the tables of the pupil in focus, complex64 (bands, rows, cols // 2 + 1).
 
     Args:
         pupil: The pupil.
@@ -390,7 +390,7 @@ def _wrap(kernel, rows, cols):
 def sampled_transfer(pupil: Pupil, wave, sx, sy) -> np.ndarray:
     """Return the transfer function at frequencies (sx, sy), in units of the cut-off: see `gpusim.optics.otf.transfer`.
 
-    Its error is that of `window`. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
+    Its error is the one that `window` returns. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
     """
     wave = np.asarray(wave, np.float64)
     half, _ = window(pupil, wave[None])

@@ -162,7 +162,7 @@ class _Groups:
         return _mix([(1, composed), (1, self._move(change, moved))], device)
 
     def diffract(self, composed, tables):
-        """Return composed channels with what diffraction in focus blurs of products, not of their factors.
+        """Return composed channels with the blur that diffraction in focus gives to products, and not to their factors.
 
         With K that blur, a the coverage of a layer and L the light behind it, K ((1 - a) L) is added
         and (1 - K a) K L taken away.
@@ -208,7 +208,7 @@ class _Groups:
         return _take(planes_, inside, shape, self._device)
 
     def _move(self, planes_, moved):
-        """Return what lies (rows, cols) [sample] beyond each sample; samples go on at the edge."""
+        """Return the values (rows, cols) [sample] beyond each sample; samples go on at the edge."""
         return _take(planes_, moved, planes_.shape[1:], self._device) if any(moved) else planes_
 
 
@@ -256,7 +256,7 @@ class _Placing:
         self._evening, self._density = gains, 1.0 if gains is not None else zoom**2
         self._shape, self._border, self._beyond, self._device = shape, border, beyond, device
         self._limits = self._gain = None
-        if lights is None:  # by area: what covers all remains 1
+        if lights is None:  # by area: coverage of 1 remains 1
             ones = np.ones((1, *shape), np.float32)
             whole = distort(ones, places[1], shape, beyond, "area", device=device)
             self._gain = device.array(1 / np.asarray(device.numpy(whole)))

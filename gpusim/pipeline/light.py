@@ -49,7 +49,7 @@ def place_samples(view: View, **constants) -> Any:
 
 
 def place_layers(view: View, *, grid, seen, shape, ratio, device) -> tuple:
-    """Return the positions of light, and those of coverage, which has no flux factor: arrays for `optics.distort`."""
+    """Return the positions of light, and of coverage, which has no flux factor: arrays for `optics.distort`."""
     if view.is_plain and grid is not None:
         nodes = grid.nodes
     else:
@@ -129,10 +129,10 @@ def _field_inputs(inputs, device):
 
 
 def make_depth_field_tables(*, varying, count, channels, shape, margin, device) -> tuple:
-    """Return what `make_field_tables` does for each kernel of a blur by depth.
+    """Return inputs and tables, as of `make_field_tables`, for each kernel of a blur by depth.
 
     Returns:
-        For each kernel: inputs and tables of the planes, those of the coverage in each channel, and the gain by which
+        For each kernel: inputs and tables of the planes, and of the coverage in each channel, and the gain by which
         coverage of an even surface at this distance remains 1, (channels, rows, cols).
     """
     inputs = varying.stage_inputs

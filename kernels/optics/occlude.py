@@ -1,4 +1,4 @@
-"""Light between layers that are out of focus: what the product of blurred layers misses, summed over the pupil.
+"""Light between layers that are out of focus: the light that the product of blurred layers misses, summed over the pupil.
 
 `optics.composite` multiplies means over the pupil. But a pixel sees both a layer and the gaps beside it through the
 same points of the pupil, so the mean of the product counts. With u a point of the pupil of radius 1, w its share of

@@ -55,13 +55,8 @@ def ring(hole):
     return field, np.pi * (1 - hole**2)
 
 
-def coma(waves):
-    """Field of a circle with W = waves sqrt(8) (3 r^3 - 2 r) sin t, Noll's polynomial 7."""
-    nodes, mass = np.polynomial.legendre.leggauss(60)
-    r, t = (nodes + 1) / 2, 2 * np.pi * np.arange(320) / 320
-    weight = np.outer(mass / 2 * r, np.full(320, 2 * np.pi / 320)).ravel()
-    path = (waves * np.sqrt(8) * np.outer(3 * r**3 - 2 * r, np.sin(t))).ravel()
-    down, across = np.outer(r, np.sin(t)).ravel(), np.outer(r, np.cos(t)).ravel()
+def integral(down, across, path, weight):
+    """Field of a pupil by a sum over its points, with a path [waves] and a weight each."""
 
     def field(y, x):
         y, x = np.broadcast_arrays(y, x)
@@ -71,7 +66,18 @@ def coma(waves):
             found[row] = np.exp(2j * np.pi * phase) @ weight
         return found
 
-    return field, np.pi
+    return field
+
+
+def coma(waves):
+    """Field of a circle with W = waves sqrt(8) (3 r^3 - 2 r) sin t, Noll's polynomial 7."""
+    nodes, mass = np.polynomial.legendre.leggauss(60)
+    r, t = (nodes + 1) / 2, 2 * np.pi * np.arange(320) / 320
+    weight = np.outer(mass / 2 * r, np.full(320, 2 * np.pi / 320)).ravel()
+    path = (waves * np.sqrt(8) * np.outer(3 * r**3 - 2 * r, np.sin(t))).ravel()
+    down, across = np.outer(r, np.sin(t)).ravel(), np.outer(r, np.cos(t)).ravel()
+
+    return integral(down, across, path, weight), np.pi
 
 
 def pattern(field, norm, q, rows, cols, cell=(1.0, 1.0), order=8):
@@ -278,15 +284,7 @@ def seidel_coma(waves, away):
     # h cos t r is the product of the field point and the place in the pupil
     path = waves * (down**2 + across**2) * (away[0] * down + away[1] * across)
 
-    def field(y, x):
-        y, x = np.broadcast_arrays(y, x)
-        found = np.empty(y.shape, complex)
-        for row in range(len(y)):
-            phase = np.multiply.outer(y[row], down) + np.multiply.outer(x[row], across) + path
-            found[row] = np.exp(2j * np.pi * phase) @ weight
-        return found
-
-    return field
+    return integral(down, across, path, weight)
 
 
 def test_a_measured_spread_ends():
@@ -312,3 +310,16 @@ def test_a_measured_spread_ends():
     outer = np.maximum(abs(ROWS)[:, None], abs(COLS)) > lights.core
     dark = electrons([np.zeros(SHAPE)] * len(BANDS), weights, camera.sensor.cfa_indices)
     assert np.abs(mean / dark - 1)[outer].max() < 1e-6
+
+
+def test_points_behind_a_diffuser_stay_in_the_transforms():
+    """A diffuser acts between pixels. The frame errs no more than it says, with a point 1e5 times as bright."""
+    light = np.full((len(BANDS), 24, 28), 1.0, np.float32)
+    light[:, 11, 17] = 1e5
+    scene = Scene(Cube(BANDS, light), unit_light(BANDS), "edge")
+    camera = open_camera("phone").with_(diffuser_um=0.1, exposure_time_ms=8)
+    simulator = Simulator(camera, device="opencl", tolerance=1e-2)
+    assert simulator.plan(scene).find(Highlights) is None
+    report = simulator(scene, verify=True).report
+    # predictions may be too small by 1.5, which verdicts take into account
+    assert report.error.rms < 1.5 * report.account.total.rms

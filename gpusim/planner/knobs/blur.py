@@ -214,7 +214,7 @@ def _with_occlusion(question, depth, probes, placed, notes):
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
         product = product.times(_left_of(question, sheets))
-    # rays are those of the axis, and of a thin lens
+    # rays are as on the axis, and of a thin lens
     is_exact = question.lens.is_uniform and not question.lens.distance_model
     left = found.error if is_exact else found.error + found.seen
     bounds = {
@@ -237,10 +237,10 @@ def _with_occlusion(question, depth, probes, placed, notes):
 
 
 def _left_of(question, sheets):
-    """Share of what diffraction in focus makes of products that is left after it was computed.
+    """Share of the blur of products by diffraction in focus that is left after it was computed.
 
-    All of it where it is not known well: behind aberrations in focus, and where an edge lies so
-    near the frame's that light from outside takes part.
+    All of it if it is not known well: behind aberrations in focus, and at edges so near the frame's
+    that light from outside takes part.
     """
     if not question.lens.is_airy:
         return 1.0
@@ -267,7 +267,7 @@ def _densest(sheets):
 
 
 def _behind_edges(question, sheets):
-    """Error of a product of what diffraction in focus and the samples blur together, brightness (rows, cols).
+    """Error of a product of light and coverage that are blurred together in focus, brightness (rows, cols).
 
     Exact is the blur of the product of light and transmission. The two differ by the covariance
     within the kernel of a circular pupil in focus, at the mean wavelength in a mirrored world.

@@ -162,7 +162,7 @@ def plan_distortion(
 def _border_bound(question, made, probes):
     """Error of light from beyond the rim, where the border's rule holds for the distorted picture.
 
-    The flat field goes on changing there. The share of the light that comes from beyond r is that of diffraction,
+    The flat field goes on changing there. Diffraction gives the share of the light that comes from beyond r,
     q / (pi^2 r); if the blur is wider than the rim, half of the light comes from within its width.
     """
     flux, (rows, cols) = made.nodes[..., 2], made.nodes.shape[:2]
@@ -222,7 +222,7 @@ def choose_distortion(
 
 
 def flat_on_axis(distortion: Model) -> float:
-    """Return the light of a flat field where the optical axis meets the image."""
+    """Return the light of a flat field at the place at which the optical axis meets the image."""
     at = distortion.middle if isinstance(distortion, Framed) else (0.0, 0.0)
     a, b, c, d = distortion.derivative(*map(np.float64, at))
     return float(1 / (a * d - b * c))
