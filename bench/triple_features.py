@@ -1,6 +1,6 @@
 """Random pairs and triples of features, for `bench/triples.py --kinds features`.
 
-The features are those of the matrix of `gpusim verify --combinations`, with random parameters. A
+The features are as in the matrix of `gpusim verify --combinations`, with random parameters. A
 pair that physics excludes is drawn again. The seeds DEVELOPMENT and HELD_OUT were fixed before any
 of them was asked. Frames are small, because independent sums judge them: `triple_outside.py`.
 """

@@ -196,7 +196,7 @@ def distorted(scene, camera, planes, beyond, order=None, is_flux=True):
     """Return samples displaced by the lens, with `beyond` more on each side.
 
     order: of splines between samples, without scaling their light; None: band-limited. is_flux:
-    whether they are brighter where the lens crowds points.
+    whether places at which the lens crowds points are brighter.
     """
     pitch = camera.sensor.pixel_pitch / scene.samples_per_pixel
     y, x = np.meshgrid(

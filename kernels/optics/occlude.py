@@ -1,6 +1,6 @@
-"""Light between layers that are out of focus: the light that the product of blurred layers misses, summed over the pupil.
+"""Light between layers out of focus, which the product of blurred layers misses: summed over the pupil.
 
-`optics.composite` multiplies means over the pupil. But a pixel sees both a layer and the gaps beside it through the
+`optics.composite` multiplies means over the pupil. But a pixel sees both a layer and the gaps next to it through the
 same points of the pupil, so the mean of the product counts. With u a point of the pupil of radius 1, w its share of
 the light, and layer k seen at y_k = x + r_k u, of coverage a_k and light b_k = coverage times light,
 
