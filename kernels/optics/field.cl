@@ -7,17 +7,18 @@ __kernel void weigh(
     // in:
     __global const float *restrict planes, __global const float *restrict coefficients,
     __global const int *restrict edges_y, __global const int *restrict edges_x,
+    __global const int *restrict order,  // number of each tile
     // out:
-    __global float *restrict weighted,  // [tiles][terms][period_y][period_x]
+    __global float *restrict weighted,   // [tiles][terms][period_y][period_x]
     // params:
-    const float threshold, const int plane, const int first, const int border,
+    const float threshold, const int plane, const int border,
     // sizes:
     const int rows, const int cols, const int tiles_x, const int terms, const int size, const int period_y,
     const int period_x)
 {
     const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
     GUARD(x >= period_x || y >= period_y || k >= size)
-    const int tile = first + k / terms, ty = tile / tiles_x, tx = tile % tiles_x;
+    const int tile = order[k / terms], ty = tile / tiles_x, tx = tile % tiles_x;
     const int v = edges_y[ty] + y, u = edges_x[tx] + x;
     const int in_tile = v < edges_y[ty + 1] && u < edges_x[tx + 1];
     const int cy = clamp(v, 0, rows - 1), cx = clamp(u, 0, cols - 1);
@@ -25,6 +26,24 @@ __kernel void weigh(
     const float weight = coefficients[((size_t)(k % terms) * rows + cy) * cols + cx];
     const int kept = in_tile && value <= threshold && (border != 0 || (cy == v && cx == u));
     weighted[((size_t)k * period_y + y) * period_x + x] = kept ? weight * value : 0.0f;
+}
+
+__kernel void combine(
+    // in:
+    __global const float2 *restrict tables,   // [kernels][own][period_y][half]
+    __global const float *restrict weights,   // [terms][kernels]
+    // out:
+    __global float2 *restrict combined,       // [terms][own][period_y][half]
+    // sizes:
+    const int kernels, const int own, const int size, const int period_y, const int half_x)
+{
+    const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
+    GUARD(x >= half_x || y >= period_y || k >= size)
+    const size_t frame = (size_t)period_y * half_x, at = (size_t)y * half_x + x;
+    float2 total = (float2)(0.0f, 0.0f);
+    for (int j = 0; j < kernels; ++j)
+        total += weights[(size_t)(k / own) * kernels + j] * tables[((size_t)j * own + k % own) * frame + at];
+    combined[k * frame + at] = total;
 }
 
 #ifdef TERMS
@@ -37,7 +56,7 @@ __kernel void accumulate(
     // out:
     __global float2 *restrict sums,           // [CHANNELS][tiles][period_y][pitch]
     // params:
-    const int is_first, const int first, const int plane,
+    const int is_first, const int plane,
     // sizes:
     const int tiles, const int period_y, const int half_x, const int pitch, const int own)
 {
@@ -48,7 +67,7 @@ __kernel void accumulate(
 #pragma unroll
     for (int k = 0; k < TERMS; ++k) {
         const float2 value = spectra[(t * TERMS + k) * frame + at];
-        const size_t kernel_at = (size_t)index[(first + t) * TERMS + k] * own + plane;
+        const size_t kernel_at = (size_t)index[t * TERMS + k] * own + plane;
         const float2 table = tables[(kernel_at * period_y + y) * half_x + x];
         re += table.x * value.x - table.y * value.y;
         im += table.x * value.y + table.y * value.x;
@@ -82,13 +101,14 @@ __kernel void assemble(
     // in:
     __global const float *restrict padded, __global const int *restrict edges_y, __global const int *restrict edges_x,
     __global const int2 *restrict cover_y, __global const int2 *restrict cover_x,  // first and last tile in reach
+    __global const int *restrict slots,  // place of each tile in padded, or -1
     __global const float *base,
     // out:
     __global float *out,  // may be `base` if that is not added
     // params:
     const int reach_y, const int reach_x, const int add_base,
     // sizes:
-    const int channels, const int rows, const int cols, const int tiles_y, const int tiles_x, const int period_y,
+    const int channels, const int rows, const int cols, const int filled, const int tiles_x, const int period_y,
     const int period_x)
 {
     const int x = get_global_id(0), y = get_global_id(1), c = get_global_id(2);
@@ -96,7 +116,9 @@ __kernel void assemble(
     float total = 0.0f;
     for (int i = cover_y[y].x; i <= cover_y[y].y; ++i)
         for (int j = cover_x[x].x; j <= cover_x[x].y; ++j) {
-            const size_t tile = (size_t)(c * tiles_y + i) * tiles_x + j;
+            const int slot = slots[i * tiles_x + j];
+            if (slot < 0) continue;
+            const size_t tile = (size_t)c * filled + slot;
             total += padded[(tile * period_y + y - edges_y[i] + reach_y) * period_x + x - edges_x[j] + reach_x];
         }
     const size_t at = ((size_t)c * rows + y) * cols + x;

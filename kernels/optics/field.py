@@ -1,17 +1,23 @@
 """Field-varying blur: planes weighted by coefficient maps, convolved with kernels, and summed.
 
 Ports: planes (planes, rows, cols) float32, coefficients (terms, rows, cols) float32 [1], kernels
-(kernels, 1 or planes, m, n) float32 [1], m and n odd, index (tiles, terms) int32, mix (channels,
-planes) float32 [, base (channels, rows, cols) float32] -> channels (channels, rows, cols) float32:
+(kernels, 1 or planes, m, n) float32 [1], m and n odd, index (tiles, terms) int32 or (tiles, terms,
+kernels) float32, mix (channels, planes) float32 [, base (channels, rows, cols) float32] -> channels
+(channels, rows, cols) float32:
 
     e_c = base_c + sum over tiles t, terms k, planes p of
           mix[c, p] kernels[index[t, k], p] * (coefficients_k planes_p in t)
 
 The weights belong to the *source* pixel: light is spread from its place, and flux is conserved.
-Tiles divide the source. Two methods are this one sum (optics/field.py makes the maps). Overlap-add
-of interpolated kernels has a tile for each cell of a grid of kernels, and a term for each kernel
-that is mixed there. Eigen-kernels have one tile, and a term for each of them. The terms of a tile
-are transformed, summed, and transformed back once per channel.
+Tiles divide the source. An index of float32 holds weights: a term's kernel is then the sum over j of
+index[t, k, j] kernels[j, p]. With `sources` there is a kernel for each source, and planes_p is the
+plane sources[p].
+
+Three methods are this one sum. Overlap-add of interpolated kernels has a tile for each cell of a
+grid of kernels, and a term for each kernel that is mixed there. Eigen-kernels have one tile, and a
+term for each of them (optics/field.py makes the maps of both). Expansions have a term for each power
+of place and distance, and its kernel is a sum of eigen-kernels (optics/expansion.py). The terms of
+a tile are transformed, summed, and transformed back once per channel.
 """
 
 import functools
@@ -48,6 +54,7 @@ def field(
     base: Array | None = None,
     threshold: float | None = None,
     tables: Array | None = None,
+    sources: Array | None = None,
 ) -> Array:
     """Spread each pixel's light with the kernel of its place.
 
@@ -57,7 +64,9 @@ def field(
             frame the outermost value is repeated.
         kernels: Kernels [1], shape (kernels, 1 or planes, m, n), m and n odd; the centre is the
             pixel itself.
-        index: Kernel of each term of a tile, shape (tiles, terms), tiles row by row.
+        index: Kernel of each term of a tile, int (tiles, terms), tiles row by row; or the weights of
+            the kernels in each term, float (tiles, terms, kernels). Tiles without weights are left
+            out, and so are a tile's last terms without weights.
         edges: Boundaries of the tiles' rows and columns: two increasing lists of source pixels,
             from -(m // 2) to rows + m // 2 and from -(n // 2) to cols + n // 2.
         mix: Weight of each plane in each channel, shape (channels, planes).
@@ -70,6 +79,8 @@ def field(
             None for transforms only.
         tables: `transfer(device, kernels, edges)`, to save its time if the same kernels are used
             again.
+        sources: Plane whose light each plane of the kernels spreads, int, shape (sources,); `mix`
+            then has a column for each. None: planes of the light and of the kernels correspond.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -83,15 +94,19 @@ def field(
     m, n = kernels.shape[2:]
     planes, coefficients = device.array(planes), device.array(coefficients)
     mix, index = (np.asarray(device.numpy(values)) for values in (mix, index))
-    channels, (tiles_y, tiles_x) = len(mix), (len(edge) - 1 for edge in edges)
+    sources = np.arange(len(planes)) if sources is None else np.asarray(device.numpy(sources))
+    order, counts = _order(index)
+    slots = np.full(len(index), -1, np.int32)
+    slots[order] = np.arange(len(order))
+    channels, tiles_x = len(mix), len(edges[1]) - 1
     tables = transfer(device, kernels, edges) if tables is None else tables
     period, limit = _period(kernels.shape, edges), NEVER if threshold is None else float(threshold)
     if border == "zero":  # no light comes from outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
     padded = blur(
-        *(device, planes, coefficients, tables, kernels.shape[1]),
-        *(index, edges, mix, border, limit, period),
+        *(device, planes, coefficients, tables, kernels.shape[1], sources),
+        *(index, order, counts, edges, mix, border, limit, period),
     )
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
@@ -100,102 +115,174 @@ def field(
         device.array(_covering(edge, np.arange(margin, length - margin), reach // 2), np.int32)
         for edge, length, reach in zip(edges, (rows, cols), (m, n), strict=True)
     ]
-    arrays = [padded, edges_y, edges_x, *covers, out if base is None else device.array(base), out]
-    numbers = [m // 2, n // 2, int(base is not None), *out.shape, tiles_y, tiles_x, *period]
+    base_or_any = out if base is None else device.array(base)
+    slots = device.array(slots, np.int32)
+    arrays = [padded, edges_y, edges_x, *covers, slots, base_or_any, out]
+    numbers = [m // 2, n // 2, int(base is not None), *out.shape, padded.shape[1], tiles_x, *period]
     device.launch("optics.field", "assemble", out.shape, *arrays, *numbers)
     if threshold is not None:
         kernels = np.asarray(device.numpy(kernels))
         _add_highlights(
-            *(device, out, planes, coefficients, kernels),
+            *(device, out, planes, coefficients, kernels, sources),
             *(index, edges, mix, border, limit, margin),
         )
     return out
 
 
-def _on_device(device, planes, coefficients, tables, own, index, edges, mix, border, limit, period):
-    """Return blurred tiles, (channels, tiles, *period), by transforms of many tiles at once."""
-    count, rows, cols = planes.shape
-    (tiles, terms), channels, half = index.shape, len(mix), tables.shape[2]
+def _order(index):
+    """Return the tiles that have weights, those with the most terms first, and their numbers of terms."""
+    if index.ndim == 2:
+        return np.arange(len(index)), np.full(len(index), index.shape[1])
+    has = index.any(axis=2)
+    counts = np.where(has.any(axis=1), index.shape[1] - has[:, ::-1].argmax(axis=1), 0)
+    order = np.argsort(-counts, kind="stable")
+    order = order[: np.count_nonzero(counts)]
+    return order, counts[order]
+
+
+def _on_device(
+    device,
+    planes,
+    coefficients,
+    tables,
+    own,
+    sources,
+    index,
+    order,
+    counts,
+    edges,
+    mix,
+    border,
+    limit,
+    period,
+):
+    """Return blurred tiles in `order`, (channels, tiles, *period), by transforms of many tiles at once."""
+    _, rows, cols = planes.shape
+    tiles, channels, half = len(order), len(mix), tables.shape[2]
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
-    on_device_index = device.array(index, np.int32)
-    padded = device.empty((channels, tiles, *period))
+    padded = device.empty((channels, max(tiles, 1), *period))
     at_once = BATCH_BYTES * (64 if device.is_gpu else 1)
-    batch = max(1, at_once // (4 * terms * period[0] * period[1]))
-    defines = {"TERMS": terms, "CHANNELS": channels}
     launch = functools.partial(device.launch, "optics.field")
-    for first in range(0, tiles, batch):
-        size = min(batch, tiles - first)
-        sums = None
-        for p in range(count):
-            weighted = device.empty((size * terms, *period))
-            arrays = [planes, coefficients, edges_y, edges_x, weighted]
-            numbers = [limit, p, first, BORDERS[border]]
-            sizes = [rows, cols, len(edges[1]) - 1, terms, *weighted.shape]
-            launch("weigh", weighted.shape, *arrays, *numbers, *sizes)
-            spectra = fft.forward(device, weighted)
+    first = 0
+    while first < tiles:
+        terms = int(counts[first])
+        size = min(max(1, at_once // (4 * terms * period[0] * period[1])), tiles - first)
+        size = min(size, int(np.searchsorted(-counts, -max(terms // 2, 1), "right")) - first)
+        chosen = order[first : first + size]
+        on_device_order = device.array(chosen, np.int32)
+        if index.ndim == 2:
+            of_tiles, at = tables, index[chosen]
+        else:
+            of_tiles = _combine(device, tables, index[chosen, :terms], own)
+            at = np.arange(size * terms).reshape(size, terms)
+        at, sums, spectra, seen = device.array(at, np.int32), None, None, -1
+        for p, source in enumerate(sources):
+            if source != seen:
+                weighted, seen = device.empty((size * terms, *period)), source
+                arrays = [planes, coefficients, edges_y, edges_x, on_device_order, weighted]
+                numbers = [limit, int(source), BORDERS[border]]
+                sizes = [rows, cols, len(edges[1]) - 1, terms, *weighted.shape]
+                launch("weigh", weighted.shape, *arrays, *numbers, *sizes)
+                spectra = fft.forward(device, weighted)
             pitch = spectra.shape[2]
             if sums is None:
                 sums = device.empty((channels * size, period[0], pitch, 2))
-            arrays = [spectra, tables, on_device_index, device.array(mix[:, p]), sums]
-            numbers = [int(p == 0), first, min(p, own - 1), *warp_only(device, terms, channels)]
+            arrays = [spectra, of_tiles, at, device.array(mix[:, p]), sums]
+            numbers = [int(p == 0), min(p, own - 1), *warp_only(device, terms, channels)]
             sizes = [size, period[0], half, pitch, own]
             grid = (size, period[0], half)
+            defines = {"TERMS": terms, "CHANNELS": channels}
             launch("accumulate", grid, *arrays, *numbers, *sizes, defines=defines)
         blurred = fft.inverse(device, sums, period[1])
         sizes = [first, channels, size, tiles, *period]
         launch("keep", (channels * size, *period), blurred, padded, *sizes)
+        first += size
     return padded
 
 
-def _on_host(device, planes, coefficients, tables, own, index, edges, mix, border, limit, period):
+def _combine(device, tables, weights, own):
+    """Return the tables of each tile's terms: sums of the kernels' tables times weights (tiles, terms, kernels)."""
+    size, terms, count = weights.shape
+    _, rows, half, _ = tables.shape
+    combined = device.empty((size * terms * own, rows, half, 2))
+    arrays = [tables, device.array(weights.reshape(size * terms, count)), combined]
+    device.launch("optics.field", "combine", combined.shape[:3], *arrays, count, own, *combined.shape[:3])
+    return combined
+
+
+def _on_host(
+    device,
+    planes,
+    coefficients,
+    tables,
+    own,
+    sources,
+    index,
+    order,
+    counts,
+    edges,
+    mix,
+    border,
+    limit,
+    period,
+):
     """Return the same, one thread per tile: it stays in a core's cache (a third less time)."""
     import scipy.fft
 
-    padded = device.empty((len(mix), len(index), *period))
+    padded = device.empty((len(mix), max(len(order), 1), *period))
     planes, coefficients, out = (device.numpy(values) for values in (planes, coefficients, padded))
     tables = device.numpy(tables).view(np.complex64)[..., : period[1] // 2 + 1, 0]
     _, rows, cols = planes.shape
     reach = [-int(edge[0]) for edge in edges]
-    sources = [_sources(size, one, border) for size, one in zip((rows, cols), reach, strict=True)]
+    beyond = [_sources(size, one, border) for size, one in zip((rows, cols), reach, strict=True)]
+    half = period[1] // 2 + 1
+    tables = tables.reshape(-1, own, period[0], half)
+    if index.ndim == 3:
+        by_kernel = tables.reshape(len(tables), -1).view(np.float32)
 
-    def blur(t):
+    def blur(at):
+        t, terms = order[at], counts[at]
         i, j = divmod(t, len(edges[1]) - 1)
         y, x = (np.arange(edge[k], edge[k + 1]) for edge, k in zip(edges, (i, j), strict=True))
         if not len(y) or not len(x):
-            out[:, t] = 0
+            out[:, at] = 0
             return
         if y[0] >= 0 and y[-1] < rows and x[0] >= 0 and x[-1] < cols:
             place = weight_place = np.s_[y[0] : y[-1] + 1, x[0] : x[-1] + 1]
         else:
             from_y, from_x = (
                 source[places + one]
-                for source, places, one in zip(sources, (y, x), reach, strict=True)
+                for source, places, one in zip(beyond, (y, x), reach, strict=True)
             )
             place = np.ix_(from_y, from_x)
             weight_place = np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1))
-        weights = coefficients[:, *weight_place]
-        weighted = np.empty((index.shape[1], *period), np.float32)
+        weights = coefficients[:terms, *weight_place]
+        if index.ndim == 2:
+            chosen = [tables[kernel] for kernel in index[t]]
+        else:
+            chosen = (index[t, :terms] @ by_kernel).view(np.complex64)
+            chosen = chosen.reshape(terms, own, period[0], half)
+        weighted = np.empty((terms, *period), np.float32)
         weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
-        sums = np.empty((len(mix), period[0], period[1] // 2 + 1), np.complex64)
-        for p, plane in enumerate(planes):
-            light = plane[place]
-            if limit < NEVER:
-                light = np.where(light > limit, np.float32(0), light)
-            np.multiply(weights, light, out=weighted[:, : len(y), : len(x)])
-            spectra, chosen = scipy.fft.rfft2(weighted), index[t] * own + min(p, own - 1)
-            for k, kernel in enumerate(chosen):
-                spectra[k] *= tables[kernel]
-                if k:
-                    spectra[0] += spectra[k]
+        sums = np.zeros((len(mix), period[0], half), np.complex64)
+        spectra, seen = None, -1
+        for p, source in enumerate(sources):
+            if source != seen:
+                light, seen = planes[source][place], source
+                if limit < NEVER:
+                    light = np.where(light > limit, np.float32(0), light)
+                np.multiply(weights, light, out=weighted[:, : len(y), : len(x)])
+                spectra = scipy.fft.rfft2(weighted)
+            passed = spectra[0] * chosen[0][min(p, own - 1)]
+            for k in range(1, terms):
+                passed += spectra[k] * chosen[k][min(p, own - 1)]
             for total, weight in zip(sums, mix[:, p], strict=True):
-                if p == 0:
-                    np.multiply(spectra[0], weight, out=total)
-                else:
-                    total += weight * spectra[0]
-        out[:, t] = scipy.fft.irfft2(sums, period, overwrite_x=True)
+                if weight:
+                    total += weight * passed
+        out[:, at] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(blur, range(len(index))):  # raises the threads' errors
+        for _ in pool.map(blur, range(len(order))):  # raises the threads' errors
             pass
     return padded
 
@@ -245,7 +332,7 @@ def _sources(length, reach, border):
 
 
 def _add_highlights(
-    device, out, planes, coefficients, kernels, index, edges, mix, border, threshold, margin
+    device, out, planes, coefficients, kernels, sources, index, edges, mix, border, threshold, margin
 ):
     """Add the bright pixels that `weigh` left out.
 
@@ -278,7 +365,11 @@ def _add_highlights(
         light = np.where(values[:, *at] > threshold, values[:, *at], 0).astype(np.float64)
         weight = weights[:, min(max(y, 0), rows - 1), min(max(x, 0), cols - 1)].astype(np.float64)
         tile = tiles[0][k] * (len(edges[1]) - 1) + tiles[1][k]
-        own = np.tensordot(weight, kernels[index[tile]], 1)
+        if index.ndim == 2:
+            own = np.tensordot(weight, kernels[index[tile]], 1)
+        else:
+            own = np.tensordot(weight @ index[tile], kernels, 1)
+        light = light[sources]
         mixed[k] = np.einsum("cp,pij->cij", mix * light, np.broadcast_to(own, (len(light), m, n)))
     places -= margin
     bins_y, bins_x = (-(-length // BIN) for length in out.shape[1:])
@@ -301,7 +392,7 @@ def cases():
     """Yield cases.
 
     One tile and many, all borders, own kernels per plane, one to many pixels, a highlight of 1e6
-    spread directly.
+    spread directly; weights of kernels, tiles and terms without weights, several kernels of a plane.
     """
     random = np.random.default_rng(11)
     for rows, cols, count, channels, terms, tiles, own, border, m, threshold in (
@@ -313,7 +404,10 @@ def cases():
         (40, 61, 3, 2, 9, (5, 7), 0, "edge", 9, None),
         (5, 200, 1, 1, 4, (2, 9), 0, "reflect", 7, 100.0),
         (64, 48, 2, 2, 12, (1, 1), 0, "reflect", 21, None),
+        (40, 61, 2, 3, 4, (4, 5), 1, "edge", 9, 100.0),
+        (40, 61, 3, 2, 5, (2, 3), 0, "zero", 9, None),
     ):
+        has_weights = (m, terms) in ((9, 5), (9, 4)) and tiles in ((4, 5), (2, 3))
         planes = random.random((count, rows, cols))
         if threshold:
             planes[0, 0, -1] = planes[-1, rows // 2, cols // 2] = 1e6
@@ -341,6 +435,15 @@ def cases():
             "base": None,
             "margin": {15: 3, 21: -2}.get(m, 0),
         }
+        if has_weights:
+            weights = random.random((number, terms, 7)).astype(np.float32) / 7
+            weights[::3, 1:] = weights[1::4] = 0
+            inputs["index"] = weights
+            inputs["sources"] = np.array([0, 0, *range(1, count)])
+            inputs["mix"] = random.random((channels, count + 1)).astype(np.float32)
+            if own:
+                kernels = np.concatenate([kernels, kernels[:, :1]], axis=1)
+                inputs["kernels"] = (kernels / m**2).astype(np.float32)
         if m == 15:
             inputs["base"] = random.random((channels, rows - 6, cols - 6)).astype(np.float32)
         yield Case(

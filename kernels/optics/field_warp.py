@@ -15,12 +15,12 @@ def weigh(
     coefficients: wp.array3d[float],
     edges_y: wp.array[int],
     edges_x: wp.array[int],
+    order: wp.array[int],
     # out:
     weighted: wp.array3d[float],
     # params:
     threshold: float,
     plane: int,
-    first: int,
     border: int,
     # sizes:
     rows: int,
@@ -32,7 +32,7 @@ def weigh(
     period_x: int,
 ):
     k, y, x = wp.tid()
-    tile = first + k / terms
+    tile = order[k / terms]
     ty = tile / tiles_x
     tx = tile % tiles_x
     v = edges_y[ty] + y
@@ -47,6 +47,29 @@ def weigh(
 
 
 @wp.kernel
+def combine(
+    # in:
+    tables: wp.array4d[float],
+    weights: wp.array2d[float],
+    # out:
+    combined: wp.array4d[float],
+    # sizes:
+    kernels: int,
+    own: int,
+    size: int,
+    period_y: int,
+    half_x: int,
+):
+    k, y, x = wp.tid()
+    total = wp.vec2(0.0, 0.0)
+    for j in range(kernels):
+        at = j * own + k % own
+        total += weights[k / own, j] * wp.vec2(tables[at, y, x, 0], tables[at, y, x, 1])
+    combined[k, y, x, 0] = total[0]
+    combined[k, y, x, 1] = total[1]
+
+
+@wp.kernel
 def accumulate(
     # in:
     spectra: wp.array4d[float],
@@ -57,7 +80,6 @@ def accumulate(
     sums: wp.array4d[float],
     # params:
     is_first: int,
-    first: int,
     plane: int,
     # sizes:
     terms: int,
@@ -74,7 +96,7 @@ def accumulate(
     for k in range(terms):
         a = spectra[t * terms + k, y, x, 0]
         b = spectra[t * terms + k, y, x, 1]
-        at = index[first + t, k] * own + plane
+        at = index[t, k] * own + plane
         c = tables[at, y, x, 0]
         d = tables[at, y, x, 1]
         re += c * a - d * b
@@ -115,6 +137,7 @@ def assemble(
     edges_x: wp.array[int],
     cover_y: wp.array2d[int],
     cover_x: wp.array2d[int],
+    slots: wp.array[int],
     base: wp.array3d[float],
     # out:
     out: wp.array3d[float],
@@ -126,7 +149,7 @@ def assemble(
     channels: int,
     rows: int,
     cols: int,
-    tiles_y: int,
+    filled: int,
     tiles_x: int,
     period_y: int,
     period_x: int,
@@ -135,7 +158,9 @@ def assemble(
     total = float(0.0)
     for i in range(cover_y[y, 0], cover_y[y, 1] + 1):
         for j in range(cover_x[x, 0], cover_x[x, 1] + 1):
-            total += padded[c, i * tiles_x + j, y - edges_y[i] + reach_y, x - edges_x[j] + reach_x]
+            slot = slots[i * tiles_x + j]
+            if slot >= 0:
+                total += padded[c, slot, y - edges_y[i] + reach_y, x - edges_x[j] + reach_x]
     if add_base != 0:
         total += base[c, y, x]
     out[c, y, x] = total
