@@ -112,9 +112,19 @@ class DepthPlan:
         if self.sheets:
             return self.sheets[layer]
         shown = self._shown(layer)
+        return content if shown is None else content.take(*shown), *self._surface(layer, shown)
+
+    def surfaces(self):
+        """Yield the coverage and the circles of confusion of each layer, see `sheet`."""
+        for layer in range(self.layers):
+            yield (
+                self.sheets[layer][1:] if self.sheets else self._surface(layer, self._shown(layer))
+            )
+
+    def _surface(self, layer, shown):
         if shown is None:
-            return content, self.layer == layer, self.confusion
-        return content.take(*shown), self.layer[shown] == layer, self.confusion[shown]
+            return self.layer == layer, self.confusion
+        return self.layer[shown] == layer, self.confusion[shown]
 
     def _shown(self, layer):
         """Rows and columns of the pixels that a layer of a picture shows, (2, rows, cols); None: each its own."""
@@ -155,28 +165,6 @@ class DepthPlan:
         elif np.ptp(confusion) > 0 and not alpha.all():
             confusion = confusion[tuple(nearest(alpha == 0))]
         return Sheet(light * alpha, alpha, confusion / 2, guessed)
-
-    def shares(self, coverage, confusion):
-        """Kernels of a layer and each pixel's share in them: pairs (kernel, share float32 (rows, cols)).
-
-        coverage, confusion: what `sheet` gave. The shares of a pixel add up to its coverage.
-        """
-        there = coverage > 0
-        first, count = _stencil(self.kernels, confusion)
-        for kernel in range(len(self.kernels)):
-            some = there & (first <= kernel) & (kernel < first + count)
-            if not some.any():
-                continue
-            at, start = confusion[some], first[some]
-            weight = np.array(coverage[some], np.float64)
-            for other in start + np.arange(count)[:, None]:  # Lagrange's polynomials
-                apart = self.kernels[kernel] - self.kernels[other]
-                factor = (at - self.kernels[other]) / np.where(apart == 0, 1, apart)
-                weight *= np.where(other == kernel, 1, factor)
-            share = np.zeros(confusion.shape, np.float32)
-            share[some] = weight
-            if share.any():
-                yield kernel, share
 
 
 def nearest(missing: np.ndarray) -> np.ndarray:
@@ -256,6 +244,10 @@ def plan_depth(
         if len(distinct) <= 4
         else kernel_nodes(low, high, contrast, tolerance / 4, q, curvature)
     )
+    # a node beyond the nearest or farthest object may have no image
+    ends = distance_of(optics, nodes[[0, -1]], pitch)
+    if not (ends[0] > optics.focal_length and 0 < ends[1] < np.inf):
+        nodes = np.unique(np.clip(nodes, low, high))
     nodes = distinct if len(distinct) <= len(nodes) else nodes
     if len(nodes) > MOST_KERNELS:
         raise OutOfRange(
@@ -375,10 +367,12 @@ def kernel_nodes(
     q: float = 1.0,
     curvature: tuple[float, float] = (0.0, 0.0),
 ) -> np.ndarray:
-    """Return circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`, both ends included.
+    """Return circles of confusion [pixel] between which interpolation of kernels keeps `tolerance`.
 
     The distance of kernels follows the fourth root of the fourth derivative; one kernel is enough
-    if the first derivative is small.
+    if the first derivative is small. Nodes are from a grid that starts at 0, and a step of the grid
+    is a power of 2^(1/2): scenes of one camera share most of their kernels. The first and the last
+    lie beyond the range, or at its ends.
 
     Args:
         low: Smallest circle of confusion [pixel].
@@ -392,15 +386,28 @@ def kernel_nodes(
     one = grid[len(grid) // 2 : len(grid) // 2 + 1]
     if contrast * _remainder(one, grid, q, curvature) <= tolerance:
         return one
-    steps = np.append(
-        0, np.cumsum(np.diff(grid) * _worst_derivative(4, grid[1:], q, curvature) ** 0.25)
-    )
-    count = 4
+    step, scale = 0.125, _node_scale(q, tuple(curvature))
+    at = [np.sign(end) * np.interp(abs(end), *scale) for end in (low, high)]
+    most = at[1] - at[0]
+    while step < most / 2:
+        step *= np.sqrt(2)
     while True:
-        nodes = np.interp(np.linspace(0, steps[-1], count), steps, grid)
-        if count > MOST_KERNELS or contrast * _remainder(nodes, grid, q, curvature) <= tolerance:
+        first, last = int(np.floor(at[0] / step)), int(np.ceil(at[1] / step))
+        last = max(last, first + 3)
+        places = step * np.arange(first, last + 1)
+        nodes = np.sign(places) * np.interp(np.abs(places), *scale[::-1])
+        if len(nodes) > MOST_KERNELS or contrast * _remainder(nodes, grid, q, curvature) <= tolerance:
             return nodes
-        count += 1 + count // 8
+        step /= np.sqrt(2)
+
+
+@lru_cache(maxsize=16)
+def _node_scale(q, curvature):
+    """Return circles of confusion from 0 on [pixel], and integrals of the density of nodes up to them, from 0 on."""
+    circles = np.concatenate([np.arange(0, 64, 1 / 16), np.geomspace(64, 2048, 512)])
+    density = _worst_derivative(4, circles, q, curvature) ** 0.25
+    density = np.maximum(density, _worst_derivative(4, -circles, q, curvature) ** 0.25)
+    return circles, np.append(0, np.cumsum(np.diff(circles) * (density[1:] + density[:-1]) / 2))
 
 
 def _stencil(nodes, confusion):

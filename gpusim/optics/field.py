@@ -24,6 +24,7 @@ from functools import cached_property, partial
 import numpy as np
 import scipy
 
+from gpusim.domain.digest import digest
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.optics.lengths import fft_length
 from gpusim.optics.lens import NODES, Lens, wavelength_nodes
@@ -43,6 +44,8 @@ MOST_TERMS = 40
 GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))
 
 Kernels = Callable[[np.ndarray], np.ndarray]
+MOST_STORED = 2**28  # [byte] of kernels
+_MADE: dict[tuple, np.ndarray] = {}  # kernels by lens, wavelengths, place, size and distance
 WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
 SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
 WIDER = ((127, 159, 201), (255, 319, 401), (511, 639, 801))  # of those that are wider
@@ -203,7 +206,7 @@ def _window_maps(along_y, along_x):
 
 def _eigen_maps(nodes, vectors, shape):
     """Coefficients of the mean kernel, 1, and of those that `vectors` weight at the nodes."""
-    rest = _interpolate(nodes, vectors, *map(np.arange, shape))
+    rest = interpolate(nodes, vectors, *map(np.arange, shape))
     return np.concatenate([np.ones((1, *shape)), rest])
 
 
@@ -286,13 +289,13 @@ def eigen_kernels(
     kernels = _kernels(lens, places)
     mean = kernels.mean(axis=0)
     differences = kernels - mean
-    spectra = _weigh(differences).reshape(len(places), -1)
+    spectra = weigh(differences).reshape(len(places), -1)
     variances, vectors = np.linalg.eigh(spectra @ spectra.T)
     order = np.argsort(variances)[::-1][: MOST_TERMS - 1]
     # below the rounding of the Gram matrix a vector is noise, and more of them would not lower the error
     vectors = vectors[:, order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]]
     probes, wanted = _truth(lens, shape, truth)
-    at_probes = _interpolate(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
+    at_probes = interpolate(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
     # U (U^T D): sums of differences, so their sums are zero
     basis = np.einsum("nk,npij->kpij", vectors, differences)
 
@@ -300,7 +303,7 @@ def eigen_kernels(
         rest = np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1])
         return image_error(mean + rest, wanted, groups)
 
-    between = _interpolate(nodes, vectors, *flat.axes) if flat else None
+    between = interpolate(nodes, vectors, *flat.axes) if flat else None
 
     def flat_error(count):
         if flat is None:
@@ -372,13 +375,13 @@ class FlatField:
             np.linspace(0, size - 1, min(4 * len(at), size))
             for size, at in zip(shape, nodes, strict=True)
         ]
-        moments = _moments(_kernels(lens, places))
-        between = _interpolate(nodes, moments.reshape(len(places), -1), *self.axes)
+        moments = moments_of(_kernels(lens, places))
+        between = interpolate(nodes, moments.reshape(len(places), -1), *self.axes)
         self.moments = between.reshape(*moments.shape[1:], *map(len, self.axes))
 
     def error(self, kernels, coefficients) -> float:
         """Relative RMS error of flat fields by kernels (terms, planes, m, m) with coefficients (terms, *axes)."""
-        moments = _moments(kernels)
+        moments = moments_of(kernels)
         # (planes, 5, rows, cols)
         wrong = np.tensordot(moments, coefficients, (0, 0)) - self.moments
         if min(wrong.shape[2:]) < 3:
@@ -392,7 +395,7 @@ class FlatField:
         return float(np.sqrt(self.levels**2 @ np.square(flat).mean(axis=(1, 2))))
 
 
-def _moments(kernels):
+def moments_of(kernels):
     """First and second moments (y, x, y y, x x, y x) of kernels (n, planes, m, m) [pixel], shape (n, planes, 5)."""
     at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2.0
     y, x = np.meshgrid(at, at, indexing="ij")
@@ -407,12 +410,17 @@ def image_error(kernels, wanted, groups: int = 1) -> tuple[float, float]:
     largest of them; planes have equal weights. groups: equal parts of the planes, of which the
     worst at each place counts.
     """
-    wrong = np.square(_weigh(kernels - wanted)).sum(axis=(2, 3))
+    wrong = np.square(weigh(kernels - wanted)).sum(axis=(2, 3))
     wrong = wrong.reshape(len(wrong), groups, -1).mean(axis=2).max(axis=1)
-    # of a point: only the weight
-    scene = np.square(_weigh(np.ones((1, 1, 1, 1)), kernels.shape[-1])).sum()
-    scale = CONTRAST / np.sqrt((1 + CONTRAST**2) * scene)
+    scale = error_scale(kernels.shape[-1])
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
+
+
+def error_scale(size: int) -> float:
+    """Return the relative RMS error of a natural scene for a difference of kernels (m, m) whose `weigh` has length 1."""
+    # of a point: only the weight
+    scene = np.square(weigh(np.ones((1, 1)), size)).sum()
+    return float(CONTRAST / np.sqrt((1 + CONTRAST**2) * scene))
 
 
 def natural_difference() -> float:
@@ -425,7 +433,7 @@ def natural_difference() -> float:
     return float(CONTRAST / np.sqrt(1 + CONTRAST**2) * np.sqrt(mean))
 
 
-def _weigh(kernels, size=0):
+def weigh(kernels, size=0):
     """Half spectra times the amplitude spectrum of scenes, as real numbers whose squares sum to the whole's energy."""
     period = max(PERIOD, size, kernels.shape[-1])
     spectra = np.fft.rfft2(kernels, (period, period))
@@ -476,7 +484,7 @@ def _probes(shape):
     return np.floor(fractions * shape).astype(int)
 
 
-def _interpolate(nodes, vectors, rows, cols, grid=True):
+def interpolate(nodes, vectors, rows, cols, grid=True):
     """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
     counts = len(nodes[0]), len(nodes[1])
     shape = (len(rows), len(cols)) if grid else (len(rows),)
@@ -503,7 +511,7 @@ def _cost(edges, reach, terms):
 
 
 class Differences:
-    """Kernels of planes minus the kernels on the axis, as a function of places; they sum to 0 at all places.
+    """Kernels of planes minus one kernel on the axis, as a function of places; they sum to 0 at all places.
 
     So a point's energy is the same all over the field, and a flat field is the sum of its points:
     brighter where a lens moves them together.
@@ -520,23 +528,24 @@ class Differences:
         corner: Distance of the frame's corner from the middle [pixel].
         error: Relative RMS of a natural image that the end of the kernels may cost.
         distances: Of objects [m]; None: the plane in focus. The planes of each follow one another.
+        reference: Distance of the kernel that is subtracted [m].
 
     Raises:
         OutOfRange: No size of SIZES or WIDER is enough.
     """
 
-    def __init__(self, lens: Lens, wavelengths, mix, shape, corner, error, distances=(None,)):
+    def __init__(
+        self, lens: Lens, wavelengths, mix, shape, corner, error, distances=(None,), reference=None
+    ):
         self.lens, self.shape, self.corner = lens, shape, corner
-        self.distances = tuple(distances)
+        self.distances, self.reference = tuple(distances), reference
+        self._lens = digest(lens)
         self.middle = (np.array(shape) - 1) / 2 + lens.axis
         count = FEW_NODES if error > COARSE else NODES
         self.nodes, between = wavelength_nodes(wavelengths, count)
         self.mix = mix @ between
         self.size = max(self._enough(error, distance) for distance in self.distances)
-        self._axis = [
-            self.lens.kernels(self.nodes, (0.0, 0.0), self.size, distance)
-            for distance in self.distances
-        ]
+        self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size, reference)
         self._known: dict = {}
 
     def __call__(self, places) -> np.ndarray:
@@ -556,17 +565,28 @@ class Differences:
 
     def _at(self, place):
         found = []
-        for axis, distance in zip(self._axis, self.distances, strict=True):
-            kernels = self.lens.kernels(self.nodes, place, self.size, distance)
-            differences = self._whole(_with_zero_sum(kernels - axis), place, distance)
+        for distance in self.distances:
+            kernels = self._kernels(place, distance)
+            differences = self._whole(_with_zero_sum(kernels - self._axis), place, distance)
             found.append(np.tensordot(self.mix, differences, 1))
         return np.concatenate(found)
+
+    def _kernels(self, place, distance):
+        """Kernels of the wavelengths at a place and distance, stored for the next scene."""
+        key = (self._lens, self.nodes.tobytes(), place, self.size, distance)
+        found = _MADE.get(key)
+        if found is None:
+            found = self.lens.kernels(self.nodes, place, self.size, distance)
+            _MADE[key] = found
+            while sum(one.nbytes for one in list(_MADE.values())) > MOST_STORED:
+                _MADE.pop(next(iter(_MADE)), None)
+        return found
 
     def _whole(self, differences, place, distance):
         """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
         if self.lens.tail is None:
             return differences  # the kernels hold all light
-        axis = self.lens.centroids(self.nodes, (0.0, 0.0), distance)
+        axis = self.lens.centroids(self.nodes, (0.0, 0.0), self.reference)
         wanted = self.lens.centroids(self.nodes, place, distance) - axis
         at = np.arange(self.size) - self.size // 2
         moments = [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at]
@@ -588,7 +608,7 @@ class Differences:
         for sizes in (SIZES, *WIDER):
             most = max(sizes[-1], least | 1 if distance is not None else self.lens.least_size)
             whole = self.lens.kernels(middle, corner, most, distance)
-            axis = self.lens.kernels(middle, (0.0, 0.0), most, distance)
+            axis = self.lens.kernels(middle, (0.0, 0.0), most, self.reference)
             for size in sizes:
                 if size >= least:
                     cut = _with_zero_sum(whole - axis)[None]

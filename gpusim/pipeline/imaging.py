@@ -15,6 +15,7 @@ from gpusim.kernels.common import fft
 from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH
 from gpusim.optics.depth import DepthPlan
+from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid
@@ -35,7 +36,7 @@ from gpusim.pipeline.light import (
     crop_margin,
     dim_planes,
     even_samples,
-    make_depth_field_tables,
+    make_depth_tables,
     make_field_tables,
     make_planes,
     make_point_kernels,
@@ -143,6 +144,7 @@ class _Steps:
         self.seen, self.channels = prod(plan.scene.samples), len(plan.weights)
         self.blur, self.tiling, self.far = plan.find(Blur), plan.find(Tiling), plan.find(FarField)
         self.varying, self.depth = plan.find(FieldBlur), plan.find(DepthPlan)
+        self.space = plan.find(KernelSpace)
         self.lights = plan.find(Highlights)
         self.grid, self.taps = plan.find(DistortionGrid), plan.find(Sampling)
         planes, fusion, falloff = plan.find(Planes), plan.find(Fusion), plan.find(Falloff)
@@ -322,30 +324,36 @@ class _Steps:
         plan = self.plan
         planes_ = chain.value
         if self.depth is not None:
-            per_layer = len(self.depth.kernels) * self.depth.layers
-            nbytes = 16 * self.channels * self.samples * per_layer
-            if self.transfers is not None:  # every kernel's tables, of the planes and of white
-                nbytes += (
-                    self._bytes_of_table()
-                    * (prod(self.transfers.shape[:2]) + self.channels)
-                    * len(self.depth.kernels)
-                )
+            assert self.space is not None
+            # planes, results, terms and tiles of each layer
+            terms = 8 * self.samples
+            nbytes = 4 * self.depth.layers * self.samples * (self.count + 6 * self.channels)
+            nbytes += 4 * terms + self.space.bytes_of_tiles(2 * self.channels)
             is_even = self.grid is not None and self.grid.method == "area" and self.grid.is_even
             names = ("places", "lights", "zoom", "evening" if is_even else "")
             placed = [name and f"{self.prefix}{name}" for name in names if plan.is_placed]
-            work = float(per_layer * self.channels * self.samples)
-            if self.varying is not None:
-                nbytes += self._bytes_of_varying(
-                    self.varying.bytes_of_tiles(self.channels)
-                ) + 4 * self.channels * self.samples * len(self.depth.kernels)
+            work = float(16 * self.depth.layers * (self.count + self.channels) * self.samples)
             if self.depth.occlusion is not None:
                 nbytes += 4 * (self.channels + 1) * self.depth.layers * self.samples
                 work += self.channels * self.depth.occlusion.work
+            tables = f"{self.prefix}depth tables"
+            constants = {"space": self.space, "covers": self.channels, "device": self.device}
+            chain.steps.append(
+                Step(
+                    tables,
+                    "optics.field",
+                    (),
+                    constants,
+                    words=self.words("optics.field"),
+                    rate=Rate.CAMERA,
+                    run=make_depth_tables,
+                )
+            )
             chain.add(
                 "optics.composite",
                 {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
                 *(placed or [""] * len(names)),
-                self._add_field_tables(chain) if self.varying is not None else "",
+                tables,
                 run=composite_layers,
                 words=self.words("optics.composite"),
                 nbytes=nbytes + self._bytes_of_blur() + self._bytes_of_tables(),
@@ -356,7 +364,7 @@ class _Steps:
         else:
             # spare samples around the scene's own: the crop of the blur begins outside of them
             self._add_uniform_blur(chain, None, self.margin - self.blur.spare)
-        if self.varying is not None and self.depth is None:
+        if self.varying is not None:
             tables = self._add_field_tables(chain)
             chain.add(
                 "optics.field",
@@ -385,25 +393,7 @@ class _Steps:
         """Add the step that makes the tables of the difference from the on-axis blur. Return its name."""
         name = f"{self.prefix}field tables of {chain.value}"
         constants = {"varying": self.varying, "device": self.device}
-        by_depth = self.depth is not None
-        if by_depth:
-            constants |= {
-                "count": self.count,
-                "channels": self.channels,
-                "shape": self.plan.content.shape,
-                "margin": self.margin - self.blur.spare,
-            }
-        step = Step(
-            name,
-            "optics.field" if by_depth else "",
-            (),
-            constants,
-            words=self.words("optics.field") if by_depth else "",
-            work=float(self.count * self.varying.cost) if by_depth else 0.0,
-            rate=Rate.CAMERA,
-            host="shades of flat fields are inverted on the host" if by_depth else "",
-            run=make_depth_field_tables if by_depth else make_field_tables,
-        )
+        step = Step(name, "", (), constants, rate=Rate.CAMERA, run=make_field_tables)
         chain.steps.insert(0, step)
         return name
 

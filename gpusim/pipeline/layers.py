@@ -8,11 +8,12 @@ from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
+from gpusim.kernels.optics.field import field
 from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan, flatten
-from gpusim.pipeline.light import add_field
+from gpusim.optics.expansion import KernelSpace, expand
 from gpusim.pipeline.reading import planes, store
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.choices import Blur, Fusion, Planes
@@ -25,84 +26,76 @@ def composite_layers(
     """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
 
     A layer's coverage is blurred in each channel with the channel's kernel for white in the scene's light. Objects
-    continue outside the frame even if no light comes from there. The lens and a view displace the part of a layer
-    that each kernel blurs, and its coverage; so distances are never interpolated.
+    continue outside the frame even if no light comes from there. The lens and a view displace a layer's light, its
+    coverage, and its coverage times its circles of confusion, whose quotient is the circle of each displaced sample.
 
     places: see `place_layers`; None: nothing is displaced. lights, zoom, gains: see `place_planes`. varying: see
-    `make_depth_field_tables`; None: the blur is the same all over the field.
+    `make_depth_tables`.
     """
     depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
-    assert depth is not None and form is not None
+    space = plan.find(KernelSpace)
+    assert depth is not None and form is not None and space is not None
     table = made and made.table
     channels, margin = len(plan.weights), plan.scene.margin - form.spare
     beyond = "edge" if border == "zero" else border  # of coverage
-    eye, placing = np.eye(channels, dtype=np.float32), None
+    one, eye = np.ones((channels, 1), np.float32), np.eye(channels, dtype=np.float32)
+    of_light, of_cover = varying
+    of_planes, of_white = tables.at_distance(plan, space.reference)
+    placing = None
     if places is not None:
         placing = _Placing(places, lights, zoom, gains, plan.content.shape, border, beyond, device)
         picture = flatten(plan.scene)[0] if depth.sheets else None
         seen = planes_ if picture is None else planes(device, table, store(device, picture))
-    alphas, layers, blurred, sharp = [], [], [], []
+    alphas, blurred, sharp = [], [], []
     for layer in range(depth.layers):
         content, coverage, confusion = depth.sheet(layer, plan.content)
         own = planes_
         if content is not plan.content:
             own = planes(device, table, store(device, content))
+        cover, light = device.array(np.asarray(coverage, np.float32)[None]), own
+        if not np.all(coverage == 1):
+            light = falloff(own, cover, device=device)
         if placing is not None:
             placing.limit(seen, own)
-        for kernel, share in depth.shares(coverage, confusion):
-            of_planes, of_white = tables.at_distance(plan, kernel)
-            cover = device.array(share[None])
-            light = falloff(own, cover, device=device)
-            if placing is not None:
-                light, cover = placing.place(light, cover)
-            blurred_light = blur(
-                light,
-                of_planes,
-                form.mix,
-                border,
-                form.period,
-                margin=margin,
-                device=device,
-            )
-            alpha = blur(
-                cover,
-                of_white,
-                np.ones((channels, 1), np.float32),
-                beyond,
-                form.period,
-                margin=margin,
-                device=device,
-            )
-            if varying is not None:
-                of_light, of_cover, gain = varying[kernel]
-                blurred_light = add_field(
-                    blurred_light,
-                    light,
-                    of_light,
-                    mix=form.mix,
-                    border=border,
-                    margin=margin,
-                    device=device,
-                )
-                alpha = add_field(
-                    alpha,
-                    device.reshape(device.stack([cover] * channels), (channels, *cover.shape[1:])),
-                    of_cover,
-                    mix=eye,
-                    border=beyond,
-                    margin=margin,
-                    device=device,
-                )
-                alpha = falloff(alpha, gain, device=device)
-            blurred.append(blurred_light)
-            alphas.append(alpha)
-            layers.append(depth.groups[layer])
-            sharp.append(sharpen(light, cover, plan, device))
-    composed = composite(device.stack(blurred), device.stack(alphas), layers, device=device)
+            light, cover, confusion = placing.place(light, coverage, confusion)
+            coverage = device.numpy(cover)[0]
+        terms = expand(space, confusion, coverage)
+        inputs = {
+            "coefficients": device.array(terms.coefficients),
+            "index": terms.index,
+            "edges": space.edges,
+            "margin": margin,
+            "device": device,
+        }
+        blurred_light = blur(
+            light, of_planes, form.mix, border, form.period, margin=margin, device=device
+        )
+        alpha = blur(cover, of_white, one, beyond, form.period, margin=margin, device=device)
+        blurred_light = field(
+            light, mix=form.mix, border=border, base=blurred_light, **of_light, **inputs
+        )
+        alpha = field(cover, mix=eye, border=beyond, base=alpha, **of_cover, **inputs)
+        if terms.gains is not None:
+            alpha = falloff(alpha, _cut(terms.gains, margin), device=device)
+        blurred.append(blurred_light)
+        alphas.append(alpha)
+        sharp.append(sharpen(light, cover, plan, device))
+    composed = composite(
+        device.stack(blurred), device.stack(alphas), list(depth.groups), device=device
+    )
     if depth.occlusion is None:
         return composed
-    groups = _Groups(blurred, alphas, sharp, layers, plan, border, device)
+    groups = _Groups(blurred, alphas, sharp, list(depth.groups), plan, border, device)
     return groups.occlude(groups.diffract(composed, tables), tables)
+
+
+def _cut(gains, margin):
+    """Return gains (C, rows, cols) without a margin, or with more of the outermost if it is negative."""
+    if margin < 0:
+        return np.pad(gains, ((0, 0), (-margin, -margin), (-margin, -margin)), mode="edge")
+    return np.ascontiguousarray(
+        gains[:, margin : gains.shape[1] - margin, margin : gains.shape[2] - margin]
+    )
 
 
 def sharpen(light, cover, plan: Plan, device) -> Any:
@@ -275,17 +268,23 @@ class _Placing:
             both = device.stack([self._limits, integrate(own, table, device=device)])
             self._limits = device.reshape(both, (2 * len(table), *both.shape[2:]))
 
-    def place(self, light, cover):
-        """Return planes of light, and a coverage (1, rows, cols), displaced."""
+    def place(self, light, coverage, confusion):
+        """Return planes of light and a coverage (1, rows, cols), displaced, and circles of confusion on the host."""
         (of_light, of_cover), shape, device = self._places, self._shape, self._device
+        low, high = float(confusion.min()), float(confusion.max())
+        covers = np.stack([coverage, coverage * (confusion - low)]).astype(np.float32)
         if self._lights is None:
             light = distort(
                 light, of_light, shape, self._border, "area", self._density, device=device
             )
             if self._evening is not None:
                 light = falloff(light, self._evening, device=device)
-            cover = distort(cover, of_cover, shape, self._beyond, "area", device=device)
-            return light, falloff(cover, self._gain, device=device)
-        limits = self._limits
-        light = distort(light, of_light, shape, self._border, light=limits, device=device)
-        return light, distort(cover, of_cover, shape, self._beyond, light=limits, device=device)
+            covers = distort(covers, of_cover, shape, self._beyond, "area", device=device)
+            covers = falloff(covers, self._gain, device=device)
+        else:
+            limits = self._limits
+            light = distort(light, of_light, shape, self._border, light=limits, device=device)
+            covers = distort(covers, of_cover, shape, self._beyond, light=limits, device=device)
+        cover, moved = np.asarray(device.numpy(covers))
+        at = np.divide(moved, cover, out=np.zeros_like(moved), where=np.abs(cover) > 1e-6)
+        return light, device.array(cover[None].copy()), np.clip(at + low, low, high)

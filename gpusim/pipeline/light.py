@@ -16,6 +16,7 @@ from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.geometry import evening, view_nodes
 from gpusim.optics.highlights import (
     PointKernels,
@@ -128,33 +129,19 @@ def _field_inputs(inputs, device):
     }
 
 
-def make_depth_field_tables(*, varying, count, channels, shape, margin, device) -> tuple:
-    """Return inputs and tables, as of `make_field_tables`, for each kernel of a blur by depth.
-
-    Returns:
-        For each kernel: inputs and tables of the planes, and of the coverage in each channel, and the gain by which
-        coverage of an even surface at this distance remains 1, (channels, rows, cols).
-    """
-    inputs = varying.stage_inputs
-    kernels = inputs.pop("kernels")
-    inputs = _field_inputs(inputs, device)
-    ones = device.array(np.ones((channels, *shape), np.float32))
-    eye, found = np.eye(channels, dtype=np.float32), []
-    for first in range(0, kernels.shape[1], count + channels):
-        parts = []
-        for some in (slice(first, first + count), slice(first + count, first + count + channels)):
-            own = np.ascontiguousarray(kernels[:, some])
-            parts.append(
-                (inputs | {"kernels": device.array(own)}, transfer(device, own, varying.edges))
-            )
-        more = add_field(None, ones, parts[1], mix=eye, border="edge", margin=margin, device=device)
-        parts.append(device.array(1 / (1 + np.asarray(device.numpy(more)))))
-        found.append(tuple(parts))
-    return tuple(found)
+def make_depth_tables(*, space: KernelSpace, covers: int, device) -> tuple:
+    """Return kernels and transfer tables for `optics.field`, of the planes and of the coverage in each channel."""
+    parts = []
+    for some in (slice(None, -covers), slice(-covers, None)):
+        own = np.ascontiguousarray(space.kernels[:, some], np.float32)
+        found = {"kernels": own, "tables": transfer(device, own, space.edges)}
+        parts.append(found)
+    parts[1]["sources"] = np.zeros(covers, np.int32)
+    return tuple(parts)
 
 
 def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:
-    """Add the difference from the on-axis blur to channels blurred as on the axis, or to 0 if they are None."""
+    """Add the difference from the on-axis blur to channels blurred as on the axis."""
     inputs, kernels = tables
     return field(
         planes_,

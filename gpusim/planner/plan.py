@@ -15,6 +15,7 @@ from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.optics.depth import DepthPlan
+from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import Watch
 from gpusim.optics.geometry import DistortionGrid
@@ -173,6 +174,7 @@ class Plan:
         scene = self.scene
         planes, blur, fusion = self.find(Planes), self.find(Blur), self.find(Fusion)
         varying, depth, grid = self.find(FieldBlur), self.find(DepthPlan), self.find(DistortionGrid)
+        space = self.find(KernelSpace)
         taps, gains, far = self.find(Sampling), self.find(Falloff), self.find(FarField)
         numbers = (
             self.weights,
@@ -188,6 +190,7 @@ class Plan:
             far and (far.sigmas, far.tails, far.spacings),
             grid and grid.nodes,
             varying and (varying.kernels, varying.edges),
+            space and (space.kernels, space.edges, space.values, space.slopes),
             depth and (depth.distances, depth.kernels, depth.confusion),
             depth and depth.occlusion and (depth.occlusion.radii, depth.occlusion.points),
         )
@@ -408,7 +411,7 @@ def plan(
         else _plain(question, blurred, fixed, notes)
     )
     taps, spare = pixels.taps_of(question, seen.around.spare if seen.around else 0)
-    varying = (choice for choice in seen.way.choices if isinstance(choice, FieldBlur))
+    varying = (choice for choice in seen.way.choices if isinstance(choice, KernelSpace))
     blur.describe_depth(by_depth, next(varying, None), notes)
     picture.describe(notes)
     distortion = pixels.choose_distortion(question, placed, probes, notes)

@@ -206,7 +206,9 @@ def _combine(device, tables, weights, own):
     _, rows, half, _ = tables.shape
     combined = device.empty((size * terms * own, rows, half, 2))
     arrays = [tables, device.array(weights.reshape(size * terms, count)), combined]
-    device.launch("optics.field", "combine", combined.shape[:3], *arrays, count, own, *combined.shape[:3])
+    device.launch(
+        "optics.field", "combine", combined.shape[:3], *arrays, count, own, *combined.shape[:3]
+    )
     return combined
 
 
@@ -332,7 +334,18 @@ def _sources(length, reach, border):
 
 
 def _add_highlights(
-    device, out, planes, coefficients, kernels, sources, index, edges, mix, border, threshold, margin
+    device,
+    out,
+    planes,
+    coefficients,
+    kernels,
+    sources,
+    index,
+    edges,
+    mix,
+    border,
+    threshold,
+    margin,
 ):
     """Add the bright pixels that `weigh` left out.
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth
-from gpusim.optics.field import FieldBlur
+from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.occlusion import SHARP, find_occlusion, hidden_light
@@ -328,13 +328,13 @@ def bounds_of(depth: DepthPlan | None, probes: Probes | None) -> dict[str, Bound
     return named | depth.bounds
 
 
-def describe_depth(depth: DepthPlan | None, varying: FieldBlur | None, notes: Notes):
-    """Note how the blur follows distance. varying: its difference from the blur on the axis."""
+def describe_depth(depth: DepthPlan | None, space: KernelSpace | None, notes: Notes):
+    """Note how the blur follows distance. space: its kernels."""
     if depth is None:
         return
     notes.models["optics.composite"] = depth.model
-    if varying is not None:
-        notes.models["optics.field"] = f"at each kernel's distance, {varying.report}"
+    if space is not None:
+        notes.models["optics.field"] = space.report
     notes.beside |= {
         name: error for name, error in depth.predicted.items() if name.startswith(OTHERS)
     }

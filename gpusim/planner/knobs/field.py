@@ -3,6 +3,7 @@
 import numpy as np
 
 from gpusim.optics.depth import DepthPlan
+from gpusim.optics.expansion import KernelSpace, expansion_error, make_space
 from gpusim.optics.field import (
     Differences,
     FieldBlur,
@@ -50,38 +51,64 @@ def varying_planes(
     if question.scene.border == "zero":  # the frame's outline is an edge, too
         differences = differences + 2 * (rows + cols) / (rows * cols) * spectra.values
     whole = _sizes(response.flat, differences)
-    strength = _sizes(table, differences) / np.maximum(mix.T @ whole, 1e-300)
+    strength = own = _sizes(table, differences) / np.maximum(mix.T @ whole, 1e-300)
+    if depth is not None:  # of likely spectra: then all scenes of a camera have the same kernels
+        likely = mix.T @ _sizes(response.flat, prior)
+        strength = _sizes(table, prior) / np.maximum(likely, 1e-300)
     strength = _round_down(np.maximum(strength, 1e-12))
+    uneven = 1.0 if depth is None else max(float(np.sqrt(np.mean((own / strength) ** 2))), 0.5)
     table, transfers = table / strength[:, None], transfers * strength[:, None]
     power = np.einsum("cl,lm,cm->c", response.flat, spectra.values, response.flat).sum()
     contrast = max(np.sqrt((whole**2).sum() / power) if power > 0 else 0.0, 1e-9)
     contrast /= natural_difference()
     # of planes in a flat field of the frame's power
     levels = _sizes(table, spectra.values, max(power, 1e-300))
-    kernels, distances = transfers * flat, (None,)
+    kernels = transfers * flat
     if depth is not None:
-        distances = tuple(depth.distances.tolist())
         white = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
         kernels = np.concatenate([kernels, white])
         # frames divide by what a flat field's coverage becomes
-        levels = np.append(levels, np.zeros(len(white))) / np.sqrt(len(distances))
-    varying = question.cache(
-        "field plan",
-        _rest,
+        levels = _round_down(_sizes(table, prior, np.einsum("cl,lm,cm->", response.flat, prior, response.flat)))
+        levels = np.append(levels, np.zeros(len(white)))
+    made_of = (
         question.lens,
         question.content.wavelengths,
         kernels,
         question.size,
         question.corner,
-        _round_down(limit / contrast),
-        count,
-        _round_down(np.maximum(levels, 1e-12)),
-        _round_down(limit),
-        distances,
     )
-    error = float(np.hypot(error, varying.error[0] * np.sqrt(count) * contrast))
+    varying: FieldBlur | KernelSpace
+    if depth is None:
+        varying = question.cache(
+            "field plan",
+            _rest,
+            *made_of,
+            _round_down(limit / contrast),
+            count,
+            _round_down(np.maximum(levels, 1e-12)),
+            _round_down(limit),
+        )
+        wrong = varying.error[0]
+    else:
+        wanted = limit / (contrast * uneven)
+        varying = question.cache(
+            "depth plan",
+            _by_depth,
+            *made_of,
+            _round(wanted),
+            count,
+            levels,
+            _round(limit),
+            depth.distances,
+            depth.kernels,
+            len(question.weights),
+        )
+        wrong = float(np.hypot(varying.error[0], expansion_error(varying, depth.surfaces())))
+        wrong *= uneven
+    error = float(np.hypot(error, wrong * np.sqrt(count) * contrast))
     error = float(np.hypot(error, varying.flat))
-    error = float(np.hypot(error, _border_error(question, varying)))
+    if not question.lens.is_uniform:
+        error = float(np.hypot(error, _border_error(question, varying)))
     words = (
         f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
         f"{len(question.content.wavelengths)} wavelengths"
@@ -119,23 +146,50 @@ def _planes(question, response, prior, limit):
 
 
 def _rest(
-    lens, wavelengths, transfers, shape, corner, limit, count, levels, flat_limit, distances
+    lens, wavelengths, transfers, shape, corner, limit, count, levels, flat_limit
 ) -> FieldBlur:
     """Difference of the blur from the blur on the axis, the cheapest one.
 
     transfers: of the planes, (planes, L), for lights of 1. limit: of the error of natural scenes.
-    levels: strength of the planes in flat fields, at each distance. flat_limit: limit of the error of flat fields.
-    distances: see `Differences`.
+    levels: strength of the planes in flat fields. flat_limit: limit of the error of flat fields.
     """
     room = min(limit, WIDEST_ROOM * flat_limit)
-    differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8, distances)
-    flat = FlatField(differences, shape, np.tile(levels, len(distances)), flat_limit / 2)
-    return choose(differences, shape, limit / 2 / np.sqrt(count), flat, len(distances))
+    differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8)
+    flat = FlatField(differences, shape, levels, flat_limit / 2)
+    return choose(differences, shape, limit / 2 / np.sqrt(count), flat)
+
+
+def _by_depth(
+    lens,
+    wavelengths,
+    transfers,
+    shape,
+    corner,
+    limit,
+    count,
+    levels,
+    flat_limit,
+    distances,
+    nodes,
+    covers,
+) -> KernelSpace:
+    """Return the kernels at all distances and places, see `_rest`. covers: number of planes of coverage."""
+    room = min(limit, WIDEST_ROOM * flat_limit) / 4
+    own = limit / 2 / np.sqrt(count)
+    flat = levels, flat_limit / 2
+    return make_space(
+        lens, wavelengths, transfers, shape, corner, room, own, distances, nodes, covers, *flat
+    )
 
 
 def _round_down(values):
     """Values rounded down to a power of 2^(1/2): similar scenes then take the same plan of the field."""
     return np.exp2(np.floor(2 * np.log2(values)) / 2)
+
+
+def _round(value):
+    """A value rounded to a power of 2: nearly all scenes of a camera then have the same kernels."""
+    return float(np.exp2(np.rint(np.log2(value))))
 
 
 def _border_error(question, varying):

@@ -111,7 +111,7 @@ def ways(question: Question, probes: Probes | None, depth: DepthPlan | None = No
     """
     flat = _flat(question)
     even = question.weights / flat
-    if not question.lens.is_uniform:
+    if not question.lens.is_uniform or depth is not None:
         response = response_of(question, even, flat)
         inputs, transfers, mix, varying, wrong, words = varying_planes(
             question, response, prior_of(question), flat, depth
