@@ -27,6 +27,7 @@ from gpusim.optics.edges import MOST_LAYERS, Edges
 from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
 
 MOST_KERNELS = 64
+MIXED = "depth, distances between displaced samples"
 SAME = 0.02  # [pixel] between circles of confusion that count as one, for layers in focus
 TOLERANCE = 1e-4  # relative root mean square error by default
 
@@ -201,6 +202,7 @@ def plan_depth(
     layered: bool | None = None,
     scene: Scene | None = None,
     curvature: tuple[float, float] = (0.0, 0.0),
+    is_placed: bool = False,
 ) -> DepthPlan:
     """Choose kernels and layers for one picture.
 
@@ -215,6 +217,7 @@ def plan_depth(
         scene: Scene with layers, see `flatten` for its depth and brightness.
         curvature: Circles of confusion that the lens adds to these over the field [pixel]: the
             smallest and the largest.
+        is_placed: Whether the lens or a view displaces samples.
 
     Raises:
         BadData: The depth map does not fit.
@@ -266,13 +269,17 @@ def plan_depth(
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
     distances = distance_of(optics, nodes, pitch)
+    jumps = [confusion]
     if sheets:
+        jumps = [its for _, _, its in sheets]
         if inner := _inner_error(sheets, light, power):
             predicted["depth, edges inside layers"] = inner
         predicted["depth, if without layers"] = plain
         layer = np.zeros(light.shape, np.uint8)
         count = len(sheets)
         model = f"{count} layers that are given; {span}"
+        if is_placed:
+            predicted[MIXED] = max(_mixed_error(its, contrast, q, curvature) for its in jumps)
         return DepthPlan(
             distances, nodes, confusion, layer, count, model, predicted, sheets, groups
         )
@@ -284,6 +291,8 @@ def plan_depth(
     # some may have no pixel
     present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)
     layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
+    if is_placed:
+        predicted[MIXED] = _mixed_error(confusion, contrast, q, curvature, layer)
     if layered:
         model = f"{count} layers by depth; {span}"
         predicted["depth, in layers (hidden parts are continued)"] = in_layers
@@ -294,6 +303,29 @@ def plan_depth(
         predicted["depth, if in layers"] = in_layers
     groups = tuple(range(count))
     return DepthPlan(distances, nodes, confusion, layer, count, model, predicted, (), groups)
+
+
+def _mixed_error(confusion, contrast, q, curvature, layer=None):
+    """Return the relative RMS error by samples between others that get the mean of their circles of confusion.
+
+    Of two circles d apart, half of the light each, the mean errs by (d / 2)^2 / 2 times the second
+    derivative. layer: samples of different layers are not mixed.
+    """
+    apart = np.zeros_like(confusion)
+    for axis in (0, 1):
+        step = np.abs(np.diff(confusion, axis=axis))
+        if layer is not None:
+            step[np.diff(layer, axis=axis) != 0] = 0
+        inner = [slice(None)] * 2
+        inner[axis] = slice(1, None)
+        np.maximum(apart[tuple(inner)], step, out=apart[tuple(inner)])
+    some = apart > SAME
+    if not some.any():
+        return 0.0
+    wrong = apart[some] ** 2 / 8 * _worst_derivative(2, confusion[some], q, curvature)
+    # no more than the circles differ
+    wrong = np.minimum(wrong, apart[some] / 2 * _worst_derivative(1, confusion[some], q, curvature))
+    return float(contrast * np.sqrt(np.square(wrong).sum() / some.size))
 
 
 def _sheets(scene, optics, pitch):
@@ -396,7 +428,10 @@ def kernel_nodes(
         last = max(last, first + 3)
         places = step * np.arange(first, last + 1)
         nodes = np.sign(places) * np.interp(np.abs(places), *scale[::-1])
-        if len(nodes) > MOST_KERNELS or contrast * _remainder(nodes, grid, q, curvature) <= tolerance:
+        if (
+            len(nodes) > MOST_KERNELS
+            or contrast * _remainder(nodes, grid, q, curvature) <= tolerance
+        ):
             return nodes
         step /= np.sqrt(2)
 
@@ -410,7 +445,7 @@ def _node_scale(q, curvature):
     return circles, np.append(0, np.cumsum(np.diff(circles) * (density[1:] + density[:-1]) / 2))
 
 
-def _stencil(nodes, confusion):
+def stencil(nodes, confusion):
     """First of the neighbouring nodes from which each value is interpolated, and how many they are: 4, or the one."""
     count = min(4, len(nodes))
     first = np.searchsorted(nodes, confusion, "right") - count // 2
@@ -423,7 +458,7 @@ def _remainder(nodes, confusion, q, curvature=(0.0, 0.0)):
     It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance
     times the first.
     """
-    first, count = _stencil(nodes, confusion)
+    first, count = stencil(nodes, confusion)
     error = _worst_derivative(count, confusion, q, curvature)
     for i in range(count):
         error = error * (confusion - nodes[first + i]) / (i + 1)
@@ -440,11 +475,12 @@ def _worst_derivative(order, confusion, q, curvature):
 
 
 def _derivative(order, confusion, q):
-    """Root of the integral over frequency of P(f) |d^n T / dc^n|^2 at circles of confusion c [pixel], n = 1 or 4.
+    """Root of the integral over frequency of P(f) |d^n T / dc^n|^2 at circles of confusion c [pixel], n = 1, 2 or 4.
 
     T is folded as in `optics.pupil`, O = 2 J1(v) / v with v = pi c f (1 - s), s = f over the cut-off, times what
     diffraction without defocus and the pixel leave (Stokseth, J. Opt. Soc. Am. 59, 1314 (1969)). With F_n =
-    J_n(v) / v^n, whose derivative is -v F_(n+1), O' = -2 v F_2 and the fourth is 6 F_3 - 12 v^2 F_4 + 2 v^4 F_5.
+    J_n(v) / v^n, whose derivative is -v F_(n+1), O' = -2 v F_2, O'' = -2 F_2 + 2 v^2 F_3 and the fourth is 6 F_3 -
+    12 v^2 F_4 + 2 v^4 F_5.
     P = 1 / (4 sin^2 + 4 sin^2) is the power of white differences between neighbours.
     """
     known, values = _derivative_table(order, round(float(np.clip(q, 0.2, 3)), 2))
@@ -467,6 +503,8 @@ def _derivative_table(order, q):
     derivative = 6 * jv(3, v) / v**3 - 12 * jv(4, v) / v**2 + 2 * jv(5, v) / v
     if order == 1:
         derivative = -2 * jv(2, v) / v
+    elif order == 2:
+        derivative = -2 * jv(2, v) / v**2 + 2 * jv(3, v) / v
     values = []
     for confusion in np.expm1(known):
         some = passed * rate**order * np.interp(confusion * rate, v, derivative)

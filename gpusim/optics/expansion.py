@@ -2,9 +2,8 @@
 
 The kernels of a lens at all places and distances lie near a space of few dimensions. A `KernelSpace` has a
 basis of it, and the coefficients at a grid of places and circles of confusion. A frame is cut into
-tiles. In each, `expand` gives the kernel of every pixel as a sum of few terms: of the place, to first
-order from the tile's middle, and of the pixel's circle of confusion, Chebyshev's polynomials over
-those that the tile has. A term's kernel is a sum of eigen-kernels. So the cost of a tile depends on
+tiles. In each, `expand` gives the kernel of every pixel as a sum of few terms, Chebyshev's polynomials
+of the place in the tile, and of the pixel's circle of confusion among those in the tile. A term's kernel is a sum of eigen-kernels. So the cost of a tile depends on
 how much its kernels differ, and not on those of the frame. All of it is for the stage `optics.field`.
 
 The kernels are differences from one kernel, of the axis and of one distance, with sums of 0. It holds the
@@ -16,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from gpusim.optics.depth import stencil
 from gpusim.optics.field import (
     Differences,
     error_scale,
@@ -27,10 +27,11 @@ from gpusim.optics.field import (
 from gpusim.optics.lengths import fft_length
 
 GRIDS = ((5, 7), (9, 13), (15, 25))  # places along rows and columns; each holds those before
-PROBES = 6  # places for the comparison with the lens
+PROBES = 4  # places for the comparison with the lens
 MOST_TERMS = 64
 MOST_DEGREE = 12
-LEAST_TILE = 16  # [pixel] a side
+LEAST_TILE = 8  # [pixel] a side
+WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of the place
 TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
 EVEN = 1e-6  # of a flat field: gains nearer to 1 are left out
 CHECKS = (
@@ -46,12 +47,12 @@ class KernelSpace:
         kernels: Eigen-kernels, sums 0, shape (K, planes, m, m).
         nodes: Circles of confusion [pixel] between which kernels are interpolated, increasing, shape (N,).
         edges: The tiles' boundaries along rows and columns, see `optics.field`.
-        values: Coefficients in the middle of each tile, shape (tiles, N, K).
-        slopes: Their changes from a tile's middle to its sides, along rows and columns, shape (2, tiles, N, K).
+        powers: Degrees along rows and columns of the polynomials of the place in a tile, pairs; (0, 0) is the first.
+        values: Coefficients of each eigen-kernel times each of them, shape (powers, tiles, N, K).
         weights: Square of the relative RMS error of a natural scene for coefficients of 1, shape (K,).
         even: Flat fields in the planes of coverage, at one distance, shape (channels, tiles, N): in the
             middle of each tile.
-        even_slopes: Their changes, as `slopes`, shape (2, channels, tiles, N).
+        even_slopes: Their changes to a tile's sides, along rows and along columns, shape (2, channels, tiles, N).
         error: Relative RMS error of a natural scene, root mean square and largest.
         flat: Relative RMS error of flat fields.
         limit: Relative RMS error of a natural scene that `expand` may make.
@@ -61,8 +62,8 @@ class KernelSpace:
     kernels: np.ndarray
     nodes: np.ndarray
     edges: tuple[np.ndarray, np.ndarray]
+    powers: tuple[tuple[int, int], ...]
     values: np.ndarray
-    slopes: np.ndarray
     weights: np.ndarray
     even: np.ndarray
     even_slopes: np.ndarray
@@ -77,14 +78,14 @@ class KernelSpace:
         m = self.kernels.shape[-1]
         return (
             f"expansions by place and distance of {len(self.kernels)} eigen-kernels of {m} x {m} samples in "
-            f"{len(self.values)} tiles: image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, "
+            f"{self.values.shape[1]} tiles: image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, "
             f"{self.flat:.1e} in flat fields"
         )
 
     @property
     def is_varying(self) -> bool:
         """Whether kernels depend on the place."""
-        return bool(self.slopes.any())
+        return len(self.powers) > 1
 
     def bytes_of_tiles(self, channels: int) -> int:
         """Memory of the kernels' spectra and the blurred tiles [byte]."""
@@ -92,7 +93,7 @@ class KernelSpace:
         rows, cols = (fft_length(int(np.diff(edge).max()) + m - 1) for edge in self.edges)
         return (
             8 * count * planes * rows * (cols // 2 + 1)
-            + 8 * channels * len(self.values) * rows * cols
+            + 8 * channels * self.values.shape[1] * rows * cols
         )
 
 
@@ -103,15 +104,13 @@ class Terms:
     Attributes:
         coefficients: Powers of place and circle of confusion, float32, shape (terms, rows, cols).
         index: Weights of the eigen-kernels in each term, float32, shape (tiles, terms, K).
-        gains: Gains by which coverage of an even surface remains 1, float32, shape (channels, rows, cols);
-            None: they are 1.
-        error: Relative RMS error of a natural scene.
+        gains: Gains by which coverage of an even surface becomes as at the reference, float32, shape (channels,
+            rows, cols); None: they are 1.
     """
 
     coefficients: np.ndarray
     index: np.ndarray
     gains: np.ndarray | None
-    error: float
 
 
 def make_space(
@@ -159,40 +158,44 @@ def make_space(
         ]
         places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
         found = kernels_at(places)
-        basis, coefficients, left = _eigen_kernels(found, limit / 2)
-        coefficients = coefficients.reshape(len(places), len(nodes) * basis.shape[0])
+        basis, coefficients, left = _eigen_kernels(found)
+        shading = _Shading(axes, moments_of(found), levels)
+        count = int(np.argmax(left <= limit / 2)) + 1 if (left <= limit / 2).any() else len(left)
+        uneven = shading.error(basis[:count], coefficients[:, :count])
+        while uneven > flat_limit / 2 and count < len(basis):
+            count += 1 + count // 8
+            uneven = shading.error(basis[:count], coefficients[:, :count])
+        basis, coefficients, left = basis[:count], coefficients[:, :count], float(left[:count][-1])
+        coefficients = coefficients.reshape(len(places), -1)
         error = (left, left)
         if is_uniform:
             break
         between = _at(axes, coefficients, probes).reshape(len(wanted), -1)
         more = image_error(np.tensordot(between, basis, 1), wanted)
         error = float(np.hypot(left, more[0])), float(np.hypot(left, more[1]))
-        if error[0] <= limit:
+        uneven = float(
+            np.hypot(uneven, shading.error_between(np.tensordot(between, basis, 1), wanted))
+        )
+        if error[0] <= limit and uneven <= flat_limit / 2:
             break
     weights = _weights(basis)
     moments = moments_of(basis)  # (K, planes, 5)
-    largest = None if is_uniform else max(max(shape) // TILES_ACROSS, 2 * LEAST_TILE)
-    while True:
+    for degree, largest in _choices(shape, is_uniform):
         edges = _tiles(shape, m, largest)
-        values, slopes, curves, jumps = _in_tiles(edges, shape, axes, coefficients, len(nodes))
-        second = float(np.sqrt((curves**2 @ weights).mean()))
-        # light that moves differently on both sides of an edge between tiles, a line of a pixel
-        lines = sum(
-            float(
-                np.mean(np.square(jump @ moments[..., axis]) @ np.square(levels))
-                / np.diff(edge).max()
-            )
-            for axis, (jump, edge) in enumerate(zip(jumps, edges, strict=True))
-            if jump.size
+        powers, values, rest, jumps = _in_tiles(
+            edges, shape, axes, coefficients, len(nodes), degree
         )
+        left_out = float(np.sqrt((rest**2 @ weights).mean()))
+        # light that moves or widens differently on both sides of an edge between tiles: a line, and two of half
+        lines = 0.0
+        for axis, (jump, edge) in enumerate(zip(jumps, edges, strict=True)):
+            if jump.size:
+                moved, widened = jump @ moments[..., axis], jump @ moments[..., 2 + axis]
+                square = (moved**2 + widened**2 / 2) @ np.square(levels)
+                lines += float(square.mean() / np.diff(edge).max())
         lines = float(np.sqrt(lines))
-        if (
-            is_uniform
-            or largest <= 2 * LEAST_TILE
-            or (second <= limit / 2 and lines <= flat_limit / 2)
-        ):
+        if left_out <= limit / 2 and lines <= flat_limit / 2:
             break
-        largest = max(int(largest / 1.5), 2 * LEAST_TILE)
     even, even_slopes = _flat_fields(
         edges, shape, axes, coefficients, moments[:, planes - covers :], len(nodes)
     )
@@ -200,42 +203,94 @@ def make_space(
         basis,
         nodes,
         edges,
+        powers,
         values,
-        slopes,
         weights,
         even,
         even_slopes,
-        (float(np.hypot(error[0], second)), float(np.hypot(error[1], second))),
-        lines,
+        (float(np.hypot(error[0], left_out)), float(np.hypot(error[1], left_out))),
+        float(np.hypot(lines, uneven)),
         limit / 2,
         reference,
     )
 
 
+def _choices(shape, is_uniform):
+    """Yield degrees of the place in tiles, with the largest sides of the tiles [pixel], by their cost."""
+    if is_uniform:
+        yield 0, None
+        return
+    largest = max(max(shape) // TILES_ACROSS, WIDE_TILE)
+    sides = [largest]
+    while sides[-1] > LEAST_TILE:
+        sides.append(max(int(sides[-1] / 1.5), LEAST_TILE))
+    for degree in (1, 2, 3):
+        yield from ((degree, side) for side in sides if side >= WIDE_TILE)
+    yield from ((3, side) for side in sides if side < WIDE_TILE)
+
+
 def _probes(shape):
-    """Places spread evenly over the frame: the additive recurrence of the plastic number."""
+    """Places spread evenly over the frame, the additive recurrence of the plastic number, and near corners.
+
+    In the middle of a grid's outermost cells splines err most.
+    """
     plastic = 1.324717957244746
     number = np.arange(PROBES)
     fractions = np.stack([(0.5 + number / plastic) % 1, (0.5 + number / plastic**2) % 1], axis=1)
-    return np.floor(fractions * shape)
+    corners = np.array([[0.5 / (rows - 1), 0.5 / (cols - 1)] for rows, cols in GRIDS])
+    return np.floor(np.concatenate([fractions, corners]) * shape)
 
 
-def _eigen_kernels(kernels, limit):
-    """Return a basis of kernels (n, planes, m, m), the kernels' coefficients (n, K), and the error that is left."""
+def _eigen_kernels(kernels):
+    """Return a basis of kernels (n, planes, m, m), the kernels' coefficients (n, K), and what is left by 1 .. K of it."""
     gram = np.zeros((len(kernels), len(kernels)))
     for plane in range(kernels.shape[1]):
         spectra = weigh(kernels[:, plane]).reshape(len(kernels), -1)
         gram += spectra @ spectra.T
     variances, vectors = np.linalg.eigh(gram)
     variances, vectors = np.maximum(variances[::-1], 0), vectors[:, ::-1]
-    left = np.sqrt(
-        np.maximum(variances.sum() - np.cumsum(variances), 0) / gram.shape[0] / kernels.shape[1]
-    )
+    left = np.sqrt(np.maximum(variances.sum() - np.cumsum(variances), 0) / kernels[:, :, 0, 0].size)
     left *= error_scale(kernels.shape[-1])
-    count = int(np.argmax(left <= limit)) + 1 if (left <= limit).any() else len(left)
-    count = min(count, MOST_TERMS)
-    vectors = vectors[:, :count]
-    return np.tensordot(vectors.T, kernels, 1), vectors, float(left[count - 1])
+    # below the rounding of the Gram matrix a vector is noise
+    most = max(int(np.count_nonzero(variances > 1e-14 * max(variances[0], 1e-300))), 1)
+    most = min(most, MOST_TERMS)
+    vectors, left = vectors[:, :most], left[:most]
+    return np.tensordot(vectors.T, kernels, 1), vectors, left
+
+
+class _Shading:
+    """Errors of flat fields by kernels at the places of a grid, see `gpusim.optics.field.FlatField`.
+
+    moments: of the right kernels, (places times N, planes, 5). levels: strength of each plane.
+    """
+
+    def __init__(self, axes, moments, levels):
+        self._axes, self._moments, self._levels = axes, moments, np.asarray(levels)
+
+    def error(self, basis, coefficients) -> float:
+        """Return the relative RMS error of flat fields by a basis with coefficients."""
+        counts = [len(axis) for axis in self._axes]
+        if max(counts) == 1:
+            return 0.0
+        wrong = np.tensordot(coefficients, moments_of(basis), 1) - self._moments
+        wrong = wrong.reshape(*counts, -1, *wrong.shape[1:])
+        total = np.zeros(wrong.shape[:-1])
+        for axis, count in enumerate(counts):
+            if count > 1:
+                total -= np.gradient(wrong[..., axis], self._axes[axis], axis=axis)
+        return float(np.sqrt(np.square(total).mean(axis=(0, 1, 2)) @ self._levels**2))
+
+    def error_between(self, kernels, wanted) -> float:
+        """Return the relative RMS error of flat fields by kernels between the grid's places (n, planes, m, m).
+
+        Errors of interpolation change their sign from one cell of the grid to the next.
+        """
+        wrong, square = moments_of(kernels) - moments_of(wanted), 0.0
+        for axis, at in enumerate(self._axes):
+            if len(at) > 1:
+                slope = np.pi / (at[1] - at[0]) * wrong[..., axis]
+                square += np.square(slope).mean(axis=0) @ self._levels**2
+        return float(np.sqrt(square))
 
 
 def _weights(basis):
@@ -255,22 +310,32 @@ def _tiles(shape, m, largest):
     """Return boundaries of tiles along rows and columns that cost least, see `optics.field`."""
     found = []
     for size in shape:
-        whole = size + 2 * (m // 2)
         best = None
-        for count in range(1, max(whole // LEAST_TILE, 1) + 1):
-            side = -(-whole // count)
-            if largest is not None and side > max(largest, LEAST_TILE):
+        for count in range(1, max(size // LEAST_TILE, 1) + 1):
+            edges = _edges(size, m // 2, count)
+            inner = np.diff(np.clip(edges, 0, size)).max()
+            if (
+                largest is not None
+                and inner > max(largest, LEAST_TILE)
+                and count < size // LEAST_TILE
+            ):
                 continue
-            period = fft_length(side + m - 1)
-            # transforms, and the work of each tile
-            cost = count * period * (np.log2(max(period, 2)) + 8)
+            period = fft_length(int(np.diff(edges).max()) + m - 1)
+            # transforms, and the sums of kernels, which miss the caches if they are large
+            cost = count * period * (np.log2(max(period, 2)) + 8 + period / 16)
             if best is None or cost < best[0]:
-                best = cost, count
-        count = best[1] if best else max(whole // LEAST_TILE, 1)
-        found.append(
-            np.unique(np.round(np.linspace(-(m // 2), size + m // 2, count + 1)).astype(int))
-        )
+                best = cost, edges
+        found.append(best[1])
     return tuple(found)
+
+
+def _edges(size, reach, count):
+    """Return boundaries of tiles of similar sides, each of which holds pixels of the frame; see `optics.field`."""
+    inner = max((size + 2 * reach) / count - reach, min(4.0, size / count))
+    between = (
+        np.linspace(inner, size - inner, count - 1) if count > 2 else np.full(count - 1, size / 2)
+    )
+    return np.unique(np.round([-reach, *between, size + reach]).astype(int))
 
 
 def _middles(edges, shape):
@@ -283,8 +348,13 @@ def _middles(edges, shape):
     return found
 
 
-def _in_tiles(edges, shape, axes, coefficients, count):
-    """Return coefficients in the tiles' middles, their slopes, what slopes leave out, and jumps between tiles."""
+def _in_tiles(edges, shape, axes, coefficients, count, degree):
+    """Return polynomials of the place in the tiles.
+
+    Returns:
+        Their degrees, their values, see `KernelSpace`, what they leave out of the coefficients (n, K), and how these
+        jump across the edges between tiles, of rows and of columns.
+    """
     (y, down), (x, across) = _middles(edges, shape)
     tiles, kernels = len(y) * len(x), coefficients.shape[1] // count
 
@@ -294,27 +364,42 @@ def _in_tiles(edges, shape, axes, coefficients, count):
         places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
         return _at(axes, coefficients, places).reshape(tiles, count, kernels)
 
-    middle = at(0, 0)
-    if coefficients.shape[0] == 1:
-        none = np.zeros((2, tiles, count, kernels))
-        return middle, none, np.zeros((1, kernels)), (np.zeros(0), np.zeros(0))
-    low_y, high_y, low_x, high_x = at(-1, 0), at(1, 0), at(0, -1), at(0, 1)
-    slopes = np.stack([(high_y - low_y) / 2, (high_x - low_x) / 2])
-    curves = np.stack(
-        [
-            (high_y + low_y) / 2 - middle,
-            (high_x + low_x) / 2 - middle,
-            at(1, 1) - middle - slopes.sum(axis=0),
-        ]
-    )
-    curves = curves.reshape(-1, kernels) / np.sqrt(5)  # of a parabola over a tile
+    nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    known = np.stack([at(dy, dx) for dy in nodes for dx in nodes])
+    known = known.reshape(degree + 1, degree + 1, *known.shape[1:])
+    solve = chebyshev_solver(degree)
+    every = np.einsum("ai,bj,ijtnk->abtnk", solve, solve, known)
+    powers = tuple((a, own - a) for own in range(degree + 1) for a in range(own, -1, -1))
+    values = np.stack([every[a, b] for a, b in powers])
+
+    def made(dy, dx):
+        return sum(
+            _power(a, dy) * _power(b, dx) * value
+            for (a, b), value in zip(powers, values, strict=True)
+        )
+
+    if not degree:
+        return powers, values, np.zeros((1, kernels)), (np.zeros(0), np.zeros(0))
+    checks = [(dy, dx) for dy in (-1, -0.5, 0, 0.5, 1) for dx in (-1, 0, 0.5, 1)]
+    rest = np.concatenate([(at(*one) - made(*one)).reshape(-1, kernels) for one in checks])
     grid = (len(y), len(x), count, kernels)
-    value, (by_row, by_col) = middle.reshape(grid), slopes.reshape(2, *grid)
-    jumps = (
-        (value + by_row)[:-1] - (value - by_row)[1:],
-        (value + by_col)[:, :-1] - (value - by_col)[:, 1:],
+    low_y, high_y, low_x, high_x = (
+        made(*one).reshape(grid) for one in ((-1, 0), (1, 0), (0, -1), (0, 1))
     )
-    return middle, slopes, curves, jumps
+    return powers, values, rest, (high_y[:-1] - low_y[1:], high_x[:, :-1] - low_x[:, 1:])
+
+
+def chebyshev_solver(degree: int) -> np.ndarray:
+    """Return the matrix from values at Chebyshev's nodes to coefficients of his polynomials."""
+    at = np.arange(degree + 1)
+    solve = np.cos(at[:, None] * np.pi * (at + 0.5) / (degree + 1)) * 2 / (degree + 1)
+    solve[0] /= 2
+    return solve
+
+
+def _power(degree, at):
+    """Return Chebyshev's polynomial of a degree, in a range of -1 .. 1."""
+    return np.cos(degree * np.arccos(np.clip(at, -1, 1)))
 
 
 def _flat_fields(edges, shape, axes, coefficients, moments, count):
@@ -360,36 +445,20 @@ def expand(made: KernelSpace, confusion: np.ndarray, cover: np.ndarray) -> Terms
         confusion: Circle of confusion of each pixel [pixel], shape (rows, cols).
         cover: Coverage [1], same shape. Where it is 0, the circle of confusion has no effect.
     """
-    limit = made.limit
-    spans = _spans(made.edges, confusion, cover)
-    degrees, values, wrong = _polynomials(made, spans, limit)
-    most, is_varying = int(degrees.max(initial=0)), made.is_varying
-    low, high = spans
+    low, high = _spans(made.edges, confusion, cover)
     is_there = np.isfinite(low)
-    tiles, count = made.values.shape[0], made.values.shape[2]
-    first = 3 if is_varying else 1
-    cross = 2 if is_varying and most else 0
-    index = np.zeros((tiles, first + cross + most, count), np.float32)
-    index[:, 0] = values[:, 0]
-    index[:, first : first + min(most, 1)] = values[:, 1 : 1 + min(most, 1)]
-    index[:, first + min(most, 1) + cross :] = values[:, 2:]
     middle, half = np.where(is_there, (low + high) / 2, 0), np.where(is_there, (high - low) / 2, 0)
-    if is_varying:
-        at = _lagrange(made.nodes, np.stack([middle, middle - half, middle + half], axis=1))
-        ends = np.einsum("tin,atnk->aitk", at, made.slopes)
-        index[:, 1:3] = ends[:, 0].swapaxes(0, 1)
-        if cross:
-            across = (ends[:, 2] - ends[:, 1]).swapaxes(0, 1) / 2
-            is_small = (across**2 @ made.weights).sum(axis=1) / 9 <= (limit / 4) ** 2
-            wrong = wrong + np.where(is_small, (across**2 @ made.weights).sum(axis=1) / 9, 0)
-            across[is_small | (degrees == 0)] = 0
-            index[:, first + 1 : first + 3] = across
-    index[~is_there] = 0
-    used = index.any(axis=(0, 2))
-    used[0] = True
-    error = float(np.sqrt(wrong[is_there].mean())) if is_there.any() else 0.0
-    maps = _powers(made, confusion, middle, half, most, np.flatnonzero(used))
-    return Terms(maps, np.ascontiguousarray(index[:, used]), _gains(made, confusion, middle), error)
+    index, terms, wrong = [], [], np.zeros(len(low))
+    for power, values in enumerate(made.values):
+        found, error = _polynomials(made, values, middle, half, is_there)
+        wrong += error
+        for degree in range(found.shape[1]):
+            if not terms or found[:, degree].any():
+                terms.append((power, degree))
+                index.append(found[:, degree])
+    maps = _powers(made, confusion, middle, half, terms)
+    gains = _gains(made, confusion, middle)
+    return Terms(maps, np.stack(index, axis=1).astype(np.float32), gains)
 
 
 def expansion_error(made: KernelSpace, surfaces) -> float:
@@ -399,10 +468,16 @@ def expansion_error(made: KernelSpace, surfaces) -> float:
     """
     worst = 0.0
     for cover, confusion in surfaces:
-        spans = _spans(made.edges, confusion, cover)
-        is_there = np.isfinite(spans[0])
+        low, high = _spans(made.edges, confusion, cover)
+        is_there = np.isfinite(low)
         if is_there.any():
-            worst = max(worst, float(_polynomials(made, spans, made.limit)[2][is_there].mean()))
+            middle, half = (
+                np.where(is_there, one, 0) for one in ((low + high) / 2, (high - low) / 2)
+            )
+            errors = [
+                _polynomials(made, values, middle, half, is_there)[1] for values in made.values
+            ]
+            worst = max(worst, float(np.sum(errors, axis=0)[is_there].mean()))
     return float(np.sqrt(worst))
 
 
@@ -429,10 +504,9 @@ def _inside(edge, size):
     return list(zip(first, np.maximum(np.clip(edge[1:], 0, size), first + 1), strict=True))
 
 
-def _lagrange(nodes, at):
-    """Return weights of the nodes by which values are interpolated at any shape of points, (..., N)."""
-    count = min(4, len(nodes))
-    first = np.clip(np.searchsorted(nodes, at, "right") - count // 2, 0, len(nodes) - count)
+def node_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return weights by which values at nodes (N,) are interpolated by cubics, at points of any shape: (..., N)."""
+    first, count = stencil(nodes, at)
     out = np.zeros((*at.shape, len(nodes)))
     for own in range(count):
         weight = np.ones(at.shape)
@@ -444,98 +518,92 @@ def _lagrange(nodes, at):
     return out
 
 
-def _polynomials(made, spans, limit):
-    """Return each tile's degree, its values (tiles, most + 1, K) of Chebyshev's polynomials, and squares of errors.
+def _polynomials(made, values, middle, half, is_there):
+    """Return Chebyshev's polynomials of the circle of confusion in each tile, and the squares of their errors.
 
-    The degree is the lowest whose error is below the limit, as mean over the tile's span.
+    A tile has the lowest degree whose error is below the limit, as mean over its circles. values: coefficients of the
+    kernels (tiles, N, K). The first result has the shape (tiles, degrees, K).
     """
-    low, high = spans
-    tiles, _, count = made.values.shape
-    degrees, wrong = np.zeros(tiles, int), np.zeros(tiles)
-    values = np.zeros((tiles, MOST_DEGREE + 1, count))
-    left = np.flatnonzero(np.isfinite(low))
-    middle, half = (low + high) / 2, (high - low) / 2
+    tiles, _, count = values.shape
+    wrong, found = np.zeros(tiles), np.zeros((tiles, MOST_DEGREE + 1, count))
+    left = np.flatnonzero(is_there)
+    most = 0
     for degree in range(MOST_DEGREE + 1):
         if not len(left):
             break
         x = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
-        at = _lagrange(made.nodes, middle[left, None] + half[left, None] * x)
-        known = np.einsum("tin,tnk->tik", at, made.values[left])
-        solve = np.cos(np.arange(degree + 1)[:, None] * np.arccos(x)) * 2 / (degree + 1)
-        solve[0] /= 2
-        found = np.einsum("di,tik->tdk", solve, known)
+        at = node_weights(made.nodes, middle[left, None] + half[left, None] * x)
+        own = values[left]
+        found[left, : degree + 1] = np.einsum("di,tik->tdk", chebyshev_solver(degree), at @ own)
         checks = np.linspace(-1, 1, CHECKS + 2 * degree)
-        at = _lagrange(made.nodes, middle[left, None] + half[left, None] * checks)
-        wanted = np.einsum("tin,tnk->tik", at, made.values[left])
-        poly = np.cos(np.arange(degree + 1) * np.arccos(checks)[:, None])
-        error = (np.square(np.einsum("id,tdk->tik", poly, found) - wanted) @ made.weights).mean(
-            axis=1
-        )
-        values[left, : degree + 1], degrees[left], wrong[left] = found, degree, error
-        left = left[error > limit**2]
-    for tile in np.flatnonzero(degrees < MOST_DEGREE):
-        values[tile, degrees[tile] + 1 :] = 0
-    return degrees, values[:, : degrees.max(initial=0) + 1], wrong
+        at = node_weights(made.nodes, middle[left, None] + half[left, None] * checks)
+        poly = _power(np.arange(degree + 1), checks[:, None])
+        error = np.square(poly @ found[left, : degree + 1] - at @ own) @ made.weights
+        wrong[left], most = error.mean(axis=1), degree
+        left = left[wrong[left] > made.limit**2]
+    return found[:, : most + 1], wrong
 
 
-def _powers(made, confusion, middle, half, most, used):
-    """Return the powers of place and circle of confusion at each pixel, float32 (used, rows, cols)."""
-    shape = confusion.shape
-    (y, down), (x, across) = _middles(made.edges, shape)
-    tile_y, tile_x = (
-        np.clip(np.searchsorted(edge, np.arange(size), "right") - 1, 0, len(edge) - 2)
-        for edge, size in zip(made.edges, shape, strict=True)
-    )
-    first = 3 if made.is_varying else 1
-    cross = 2 if made.is_varying and most else 0
-    out = np.empty((len(used), *shape), np.float32)
-    by_row = ((np.arange(shape[0]) - y[tile_y]) / down[tile_y])[:, None].astype(np.float32)
-    by_col = ((np.arange(shape[1]) - x[tile_x]) / across[tile_x]).astype(np.float32)
-    place, before = None, None
-    if most and (used >= first).any():
-        grid = len(y), len(x)
-        scale = np.divide(1, half, out=np.zeros_like(half), where=half > 0).reshape(grid)
-        scale = scale[tile_y].astype(np.float32)[:, tile_x]
-        centre = middle.reshape(grid)[tile_y].astype(np.float32)[:, tile_x]
-        place = np.clip((confusion.astype(np.float32) - centre) * scale, -1, 1)
-        before = [np.ones_like(place), place]
-    for one, number in zip(out, used, strict=True):
-        if number == 0:
-            one[:] = 1
-        elif number < first:
-            one[:] = by_row if number == 1 else by_col
-        elif number == first:
-            one[:] = place
-        elif number < first + 1 + cross:
-            np.multiply(place, by_row if number == first + 1 else by_col, out=one)
-        else:
-            degree = number - first - cross + 1
-            while len(before) <= degree:
-                before.append(2 * place * before[-1] - before[-2])
-            one[:] = before[degree]
+def _powers(made, confusion, middle, half, terms):
+    """Return the polynomials of place and circle of confusion at each pixel, float32 (terms, rows, cols)."""
+    shape, sides = confusion.shape, _middles(made.edges, confusion.shape)
+    tiles = _tiles_of(made.edges, shape)
+    along = [
+        ((np.arange(size) - at[tile]) / side[tile]).astype(np.float32)
+        for size, tile, (at, side) in zip(shape, tiles, sides, strict=True)
+    ]
+    grid, circles = [len(at) for at, _ in sides], []
+    if any(degree for _, degree in terms):
+        scale = np.divide(1, half, out=np.zeros_like(half), where=half > 0)
+        at = confusion - _spread(middle.reshape(grid), tiles)
+        at *= _spread(scale.reshape(grid), tiles)
+        np.clip(at, -1, 1, out=at)
+        circles = [None, at]
+    out = np.empty((len(terms), *shape), np.float32)
+    for one, (power, degree) in zip(out, terms, strict=True):
+        down, across = made.powers[power]
+        while len(circles) <= degree and degree:
+            before = 1 if circles[-2] is None else circles[-2]
+            circles.append(2 * circles[1] * circles[-1] - before)
+        one[:] = circles[degree] if degree else 1
+        if down:
+            one *= _power(down, along[0]).astype(np.float32)[:, None]
+        if across:
+            one *= _power(across, along[1]).astype(np.float32)
     return out
+
+
+def _tiles_of(edges, shape):
+    """Return the tile of each row and each column of a frame."""
+    return [
+        np.clip(np.searchsorted(edge, np.arange(size), "right") - 1, 0, len(edge) - 2)
+        for edge, size in zip(edges, shape, strict=True)
+    ]
+
+
+def _spread(values, tiles):
+    """Return values of the tiles (..., rows of tiles, columns) at each pixel, float32."""
+    return values.astype(np.float32)[..., tiles[0], :][..., tiles[1]]
 
 
 def _gains(made, confusion, middle):
     """Return the gains of coverage, see `Terms`: linear in the place and in the circle of confusion within a tile."""
-    if np.abs(made.even - 1).max() <= EVEN:
+    even = made.even - made.even[:, :, [made.reference]]
+    slopes = made.even_slopes - made.even_slopes[..., [made.reference]]
+    if max(np.abs(even).max(), np.abs(slopes).max()) <= EVEN:
         return None
-    shape = confusion.shape
+    shape, tiles = confusion.shape, _tiles_of(made.edges, confusion.shape)
     (y, down), (x, across) = _middles(made.edges, shape)
-    tile_y, tile_x = (
-        np.clip(np.searchsorted(edge, np.arange(size), "right") - 1, 0, len(edge) - 2)
-        for edge, size in zip(made.edges, shape, strict=True)
+    grid = len(even), len(y), len(x)
+    at = node_weights(made.nodes, np.stack([middle, middle + 0.5], axis=1))
+    value, more = np.einsum("tin,ctn->ict", at, even)
+    by_row, by_col = np.einsum("tn,actn->act", at[:, 0], slopes)
+    rows = ((np.arange(shape[0]) - y[tiles[0]]) / down[tiles[0]])[:, None].astype(np.float32)
+    cols = ((np.arange(shape[1]) - x[tiles[1]]) / across[tiles[1]]).astype(np.float32)
+    away = np.clip(confusion - _spread(middle.reshape(grid[1:]), tiles), -2, 2).astype(np.float32)
+    flat = 1 + _spread(value.reshape(grid), tiles)
+    flat += (
+        _spread(by_row.reshape(grid), tiles) * rows + _spread(by_col.reshape(grid), tiles) * cols
     )
-    at = _lagrange(made.nodes, np.stack([middle, middle + 0.5], axis=1))
-    value, more = np.einsum("tin,ctn->ict", at, made.even)
-    slopes = np.einsum("tn,actn->act", at[:, 0], made.even_slopes)
-    by_row = ((np.arange(shape[0]) - y[tile_y]) / down[tile_y])[:, None].astype(np.float32)
-    by_col = ((np.arange(shape[1]) - x[tile_x]) / across[tile_x]).astype(np.float32)
-
-    def spread(values):
-        return values.reshape(-1, len(y), len(x))[:, tile_y][:, :, tile_x].astype(np.float32)
-
-    away = np.clip(confusion - spread(middle)[0], -2, 2).astype(np.float32)
-    flat = spread(value) + spread(slopes[0]) * by_row + spread(slopes[1]) * by_col
-    flat += spread(2 * (more - value)) * away
+    flat += _spread(2 * (more - value).reshape(grid), tiles) * away
     return 1 / flat

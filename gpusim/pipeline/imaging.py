@@ -337,7 +337,12 @@ class _Steps:
                 nbytes += 4 * (self.channels + 1) * self.depth.layers * self.samples
                 work += self.channels * self.depth.occlusion.work
             tables = f"{self.prefix}depth tables"
-            constants = {"space": self.space, "covers": self.channels, "device": self.device}
+            constants = {
+                "space": self.space,
+                "covers": self.channels,
+                "margin": self.plan.scene.margin - self.blur.spare,
+                "device": self.device,
+            }
             chain.steps.append(
                 Step(
                     tables,

@@ -39,7 +39,7 @@ def composite_layers(
     channels, margin = len(plan.weights), plan.scene.margin - form.spare
     beyond = "edge" if border == "zero" else border  # of coverage
     one, eye = np.ones((channels, 1), np.float32), np.eye(channels, dtype=np.float32)
-    of_light, of_cover = varying
+    of_light, of_cover, evening = varying
     of_planes, of_white = tables.at_distance(plan, space.reference)
     placing = None
     if places is not None:
@@ -75,6 +75,8 @@ def composite_layers(
             light, mix=form.mix, border=border, base=blurred_light, **of_light, **inputs
         )
         alpha = field(cover, mix=eye, border=beyond, base=alpha, **of_cover, **inputs)
+        if evening is not None:
+            alpha = falloff(alpha, evening, device=device)
         if terms.gains is not None:
             alpha = falloff(alpha, _cut(terms.gains, margin), device=device)
         blurred.append(blurred_light)

@@ -16,7 +16,7 @@ from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.expansion import KernelSpace
+from gpusim.optics.expansion import KernelSpace, expand
 from gpusim.optics.geometry import evening, view_nodes
 from gpusim.optics.highlights import (
     PointKernels,
@@ -129,15 +129,37 @@ def _field_inputs(inputs, device):
     }
 
 
-def make_depth_tables(*, space: KernelSpace, covers: int, device) -> tuple:
-    """Return kernels and transfer tables for `optics.field`, of the planes and of the coverage in each channel."""
+def make_depth_tables(*, space: KernelSpace, covers: int, margin: int, device) -> tuple:
+    """Return what a blur by depth takes from frame to frame.
+
+    Returns:
+        Kernels and transfer tables for `optics.field`, of the planes and of the coverage in each channel; and the gains
+        by which coverage of an even surface at the reference's distance remains 1, (C, rows, cols), or None.
+    """
     parts = []
     for some in (slice(None, -covers), slice(-covers, None)):
         own = np.ascontiguousarray(space.kernels[:, some], np.float32)
         found = {"kernels": own, "tables": transfer(device, own, space.edges)}
         parts.append(found)
     parts[1]["sources"] = np.zeros(covers, np.int32)
-    return tuple(parts)
+    if not space.is_varying:
+        return *parts, None
+    rows, cols = (int(edge[-1]) - space.kernels.shape[-1] // 2 for edge in space.edges)
+    circles = np.full((rows, cols), space.nodes[space.reference])
+    terms = expand(space, circles, np.ones((rows, cols)))
+    flat = field(
+        np.ones((1, rows, cols), np.float32),
+        terms.coefficients,
+        index=terms.index,
+        edges=space.edges,
+        mix=np.eye(covers, dtype=np.float32),
+        border="edge",
+        margin=margin,
+        device=device,
+        **parts[1],
+    )
+    gains = (1 / (1 + np.asarray(device.numpy(flat), np.float64))).astype(np.float32)
+    return *parts, device.array(gains)
 
 
 def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:

@@ -190,7 +190,7 @@ class Plan:
             far and (far.sigmas, far.tails, far.spacings),
             grid and grid.nodes,
             varying and (varying.kernels, varying.edges),
-            space and (space.kernels, space.edges, space.values, space.slopes),
+            space and (space.kernels, space.edges, space.values),
             depth and (depth.distances, depth.kernels, depth.confusion),
             depth and depth.occlusion and (depth.occlusion.radii, depth.occlusion.points),
         )

@@ -8,6 +8,7 @@ __kernel void weigh(
     __global const float *restrict planes, __global const float *restrict coefficients,
     __global const int *restrict edges_y, __global const int *restrict edges_x,
     __global const int *restrict order,  // number of each tile
+    __global const int *restrict used,   // number of each term
     // out:
     __global float *restrict weighted,   // [tiles][terms][period_y][period_x]
     // params:
@@ -23,7 +24,7 @@ __kernel void weigh(
     const int in_tile = v < edges_y[ty + 1] && u < edges_x[tx + 1];
     const int cy = clamp(v, 0, rows - 1), cx = clamp(u, 0, cols - 1);
     const float value = planes[((size_t)plane * rows + inside(v, rows, border)) * cols + inside(u, cols, border)];
-    const float weight = coefficients[((size_t)(k % terms) * rows + cy) * cols + cx];
+    const float weight = coefficients[((size_t)used[k % terms] * rows + cy) * cols + cx];
     const int kept = in_tile && value <= threshold && (border != 0 || (cy == v && cx == u));
     weighted[((size_t)k * period_y + y) * period_x + x] = kept ? weight * value : 0.0f;
 }

@@ -65,8 +65,8 @@ def field(
         kernels: Kernels [1], shape (kernels, 1 or planes, m, n), m and n odd; the centre is the
             pixel itself.
         index: Kernel of each term of a tile, int (tiles, terms), tiles row by row; or the weights of
-            the kernels in each term, float (tiles, terms, kernels). Tiles without weights are left
-            out, and so are a tile's last terms without weights.
+            the kernels in each term, float (tiles, terms, kernels). Tiles and terms without weights
+            take no time.
         edges: Boundaries of the tiles' rows and columns: two increasing lists of source pixels,
             from -(m // 2) to rows + m // 2 and from -(n // 2) to cols + n // 2.
         mix: Weight of each plane in each channel, shape (channels, planes).
@@ -95,7 +95,8 @@ def field(
     planes, coefficients = device.array(planes), device.array(coefficients)
     mix, index = (np.asarray(device.numpy(values)) for values in (mix, index))
     sources = np.arange(len(planes)) if sources is None else np.asarray(device.numpy(sources))
-    order, counts = _order(index)
+    groups = _group(index)
+    order = np.concatenate([np.empty(0, int), *(tiles for _, tiles in groups)])
     slots = np.full(len(index), -1, np.int32)
     slots[order] = np.arange(len(order))
     channels, tiles_x = len(mix), len(edges[1]) - 1
@@ -106,7 +107,7 @@ def field(
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
     padded = blur(
         *(device, planes, coefficients, tables, kernels.shape[1], sources),
-        *(index, order, counts, edges, mix, border, limit, period),
+        *(index, groups, len(order), edges, mix, border, limit, period),
     )
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
@@ -129,15 +130,15 @@ def field(
     return out
 
 
-def _order(index):
-    """Return the tiles that have weights, those with the most terms first, and their numbers of terms."""
+def _group(index):
+    """Return groups of tiles with the same terms: pairs (terms, tiles). Tiles without weights are in none."""
     if index.ndim == 2:
-        return np.arange(len(index)), np.full(len(index), index.shape[1])
-    has = index.any(axis=2)
-    counts = np.where(has.any(axis=1), index.shape[1] - has[:, ::-1].argmax(axis=1), 0)
-    order = np.argsort(-counts, kind="stable")
-    order = order[: np.count_nonzero(counts)]
-    return order, counts[order]
+        return [(np.arange(index.shape[1]), np.arange(len(index)))]
+    has, group = np.unique(index.any(axis=2), axis=0, return_inverse=True)
+    groups = [
+        (np.flatnonzero(one), np.flatnonzero(group.ravel() == k)) for k, one in enumerate(has)
+    ]
+    return [(terms, tiles) for terms, tiles in groups if len(terms)]
 
 
 def _on_device(
@@ -148,55 +149,54 @@ def _on_device(
     own,
     sources,
     index,
-    order,
-    counts,
+    groups,
+    tiles,
     edges,
     mix,
     border,
     limit,
     period,
 ):
-    """Return blurred tiles in `order`, (channels, tiles, *period), by transforms of many tiles at once."""
+    """Return blurred tiles in the order of the groups, (channels, tiles, *period), by transforms of many at once."""
     _, rows, cols = planes.shape
-    tiles, channels, half = len(order), len(mix), tables.shape[2]
+    channels, half = len(mix), tables.shape[2]
     edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
     padded = device.empty((channels, max(tiles, 1), *period))
     at_once = BATCH_BYTES * (64 if device.is_gpu else 1)
     launch = functools.partial(device.launch, "optics.field")
     first = 0
-    while first < tiles:
-        terms = int(counts[first])
-        size = min(max(1, at_once // (4 * terms * period[0] * period[1])), tiles - first)
-        size = min(size, int(np.searchsorted(-counts, -max(terms // 2, 1), "right")) - first)
-        chosen = order[first : first + size]
-        on_device_order = device.array(chosen, np.int32)
-        if index.ndim == 2:
-            of_tiles, at = tables, index[chosen]
-        else:
-            of_tiles = _combine(device, tables, index[chosen, :terms], own)
-            at = np.arange(size * terms).reshape(size, terms)
-        at, sums, spectra, seen = device.array(at, np.int32), None, None, -1
-        for p, source in enumerate(sources):
-            if source != seen:
-                weighted, seen = device.empty((size * terms, *period)), source
-                arrays = [planes, coefficients, edges_y, edges_x, on_device_order, weighted]
-                numbers = [limit, int(source), BORDERS[border]]
-                sizes = [rows, cols, len(edges[1]) - 1, terms, *weighted.shape]
-                launch("weigh", weighted.shape, *arrays, *numbers, *sizes)
-                spectra = fft.forward(device, weighted)
-            pitch = spectra.shape[2]
-            if sums is None:
-                sums = device.empty((channels * size, period[0], pitch, 2))
-            arrays = [spectra, of_tiles, at, device.array(mix[:, p]), sums]
-            numbers = [int(p == 0), min(p, own - 1), *warp_only(device, terms, channels)]
-            sizes = [size, period[0], half, pitch, own]
-            grid = (size, period[0], half)
-            defines = {"TERMS": terms, "CHANNELS": channels}
-            launch("accumulate", grid, *arrays, *numbers, *sizes, defines=defines)
-        blurred = fft.inverse(device, sums, period[1])
-        sizes = [first, channels, size, tiles, *period]
-        launch("keep", (channels * size, *period), blurred, padded, *sizes)
-        first += size
+    for numbers, members in groups:
+        terms, used = len(numbers), device.array(numbers, np.int32)
+        batch = max(1, at_once // (4 * terms * period[0] * period[1]))
+        for chosen in np.split(members, range(batch, len(members), batch)):
+            size, own_tiles = len(chosen), device.array(chosen, np.int32)
+            if index.ndim == 2:
+                of_tiles, at = tables, index[chosen]
+            else:
+                of_tiles = _combine(device, tables, index[chosen][:, numbers], own)
+                at = np.arange(size * terms).reshape(size, terms)
+            at, sums, spectra, seen = device.array(at, np.int32), None, None, -1
+            for p, source in enumerate(sources):
+                if source != seen:
+                    weighted, seen = device.empty((size * terms, *period)), source
+                    arrays = [planes, coefficients, edges_y, edges_x, own_tiles, used, weighted]
+                    settings = [limit, int(source), BORDERS[border]]
+                    sizes = [rows, cols, len(edges[1]) - 1, terms, *weighted.shape]
+                    launch("weigh", weighted.shape, *arrays, *settings, *sizes)
+                    spectra = fft.forward(device, weighted)
+                pitch = spectra.shape[2]
+                if sums is None:
+                    sums = device.empty((channels * size, period[0], pitch, 2))
+                arrays = [spectra, of_tiles, at, device.array(mix[:, p]), sums]
+                settings = [int(p == 0), min(p, own - 1), *warp_only(device, terms, channels)]
+                sizes = [size, period[0], half, pitch, own]
+                grid = (size, period[0], half)
+                defines = {"TERMS": terms, "CHANNELS": channels}
+                launch("accumulate", grid, *arrays, *settings, *sizes, defines=defines)
+            blurred = fft.inverse(device, sums, period[1])
+            sizes = [first, channels, size, padded.shape[1], *period]
+            launch("keep", (channels * size, *period), blurred, padded, *sizes)
+            first += size
     return padded
 
 
@@ -220,8 +220,8 @@ def _on_host(
     own,
     sources,
     index,
-    order,
-    counts,
+    groups,
+    tiles,
     edges,
     mix,
     border,
@@ -231,7 +231,7 @@ def _on_host(
     """Return the same, one thread per tile: it stays in a core's cache (a third less time)."""
     import scipy.fft
 
-    padded = device.empty((len(mix), max(len(order), 1), *period))
+    padded = device.empty((len(mix), max(tiles, 1), *period))
     planes, coefficients, out = (device.numpy(values) for values in (planes, coefficients, padded))
     tables = device.numpy(tables).view(np.complex64)[..., : period[1] // 2 + 1, 0]
     _, rows, cols = planes.shape
@@ -242,8 +242,8 @@ def _on_host(
     if index.ndim == 3:
         by_kernel = tables.reshape(len(tables), -1).view(np.float32)
 
-    def blur(at):
-        t, terms = order[at], counts[at]
+    def blur(job):
+        at, t, used = job
         i, j = divmod(t, len(edges[1]) - 1)
         y, x = (np.arange(edge[k], edge[k + 1]) for edge, k in zip(edges, (i, j), strict=True))
         if not len(y) or not len(x):
@@ -258,13 +258,13 @@ def _on_host(
             )
             place = np.ix_(from_y, from_x)
             weight_place = np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1))
-        weights = coefficients[:terms, *weight_place]
+        weights = coefficients[:, *weight_place][used]
         if index.ndim == 2:
             chosen = [tables[kernel] for kernel in index[t]]
         else:
-            chosen = (index[t, :terms] @ by_kernel).view(np.complex64)
-            chosen = chosen.reshape(terms, own, period[0], half)
-        weighted = np.empty((terms, *period), np.float32)
+            chosen = (index[t, used] @ by_kernel).view(np.complex64)
+            chosen = chosen.reshape(len(used), own, period[0], half)
+        weighted = np.empty((len(used), *period), np.float32)
         weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
         sums = np.zeros((len(mix), period[0], half), np.complex64)
         spectra, seen = None, -1
@@ -276,15 +276,17 @@ def _on_host(
                 np.multiply(weights, light, out=weighted[:, : len(y), : len(x)])
                 spectra = scipy.fft.rfft2(weighted)
             passed = spectra[0] * chosen[0][min(p, own - 1)]
-            for k in range(1, terms):
+            for k in range(1, len(used)):
                 passed += spectra[k] * chosen[k][min(p, own - 1)]
             for total, weight in zip(sums, mix[:, p], strict=True):
                 if weight:
                     total += weight * passed
         out[:, at] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
+    members = [(t, terms) for terms, own_tiles in groups for t in own_tiles]
+    jobs = [(at, *member) for at, member in enumerate(members)]
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(blur, range(len(order))):  # raises the threads' errors
+        for _ in pool.map(blur, jobs):  # raises the threads' errors
             pass
     return padded
 

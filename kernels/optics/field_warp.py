@@ -16,6 +16,7 @@ def weigh(
     edges_y: wp.array[int],
     edges_x: wp.array[int],
     order: wp.array[int],
+    used: wp.array[int],
     # out:
     weighted: wp.array3d[float],
     # params:
@@ -42,7 +43,7 @@ def weigh(
         value = value_at(planes, plane, v, u, rows, cols, border)
         if value > threshold:
             value = 0.0
-        value *= coefficients[k % terms, wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
+        value *= coefficients[used[k % terms], wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
     weighted[k, y, x] = value
 
 

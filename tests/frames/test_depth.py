@@ -25,6 +25,7 @@ from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.optics.depth import DepthPlan, circle_of_confusion, distance_of, plan_depth
+from gpusim.optics.expansion import node_weights
 from gpusim.optics.occlusion import find_occlusion
 from gpusim.pipeline.simulator import Simulator
 
@@ -120,6 +121,11 @@ def laid(sheets, device="numpy"):
     return composite(lights, alphas, np.arange(len(sheets)), device=device)[0]
 
 
+def shares(made, coverage, confusion):
+    """Each pixel's share in each kernel, (kernels, rows, cols)."""
+    return np.moveaxis(node_weights(made.kernels, confusion), -1, 0) * coverage
+
+
 def executed(made, light):
     """A picture blurred as a DepthPlan says, by even discs, float64, and summed over the pupil between layers."""
     rows = np.indices(light.shape)
@@ -128,7 +134,7 @@ def executed(made, light):
         content = Cube(np.array([500.0, 600.0]), rows.astype(float))  # tells which pixel goes where
         moved, coverage, confusion = made.sheet(layer, content)
         own = light[tuple(moved.values.astype(int))]
-        for kernel, share in made.shares(coverage, confusion):
+        for kernel, share in enumerate(shares(made, coverage, confusion)):
             lights.append(spread(own * share, made.kernels[kernel]))
             alphas.append(spread(share, made.kernels[kernel]))
             layers.append(layer)
@@ -257,7 +263,7 @@ def test_kernels_between_kernels_keep_what_is_asked(low, high):
 
     def image(made):
         total = 0
-        for kernel, share in made.shares(np.ones((n, n)), made.confusion):
+        for kernel, share in enumerate(shares(made, 1, made.confusion)):
             waves = LENS.waves([550.0], distance=made.distances[kernel])
             table = pupil(
                 LENS.pupil,

@@ -157,6 +157,7 @@ def by_depth(
         question.limit,
         scene=scene,
         curvature=_curvature(question),
+        is_placed=placed is not None or not scene.view.is_plain,
     )
     for distance in () if question.lens.distance_model else made.distances[[0, -1]]:
         try:

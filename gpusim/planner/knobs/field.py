@@ -68,7 +68,9 @@ def varying_planes(
         white = question.weights / np.maximum(question.weights.sum(axis=1, keepdims=True), 1e-300)
         kernels = np.concatenate([kernels, white])
         # frames divide by what a flat field's coverage becomes
-        levels = _round_down(_sizes(table, prior, np.einsum("cl,lm,cm->", response.flat, prior, response.flat)))
+        levels = _round_down(
+            _sizes(table, prior, np.einsum("cl,lm,cm->", response.flat, prior, response.flat))
+        )
         levels = np.append(levels, np.zeros(len(white)))
     made_of = (
         question.lens,
@@ -175,7 +177,7 @@ def _by_depth(
 ) -> KernelSpace:
     """Return the kernels at all distances and places, see `_rest`. covers: number of planes of coverage."""
     room = min(limit, WIDEST_ROOM * flat_limit) / 4
-    own = limit / 2 / np.sqrt(count)
+    own = min(limit, WIDEST_ROOM * flat_limit) / 2 / np.sqrt(count)
     flat = levels, flat_limit / 2
     return make_space(
         lens, wavelengths, transfers, shape, corner, room, own, distances, nodes, covers, *flat
