@@ -197,8 +197,13 @@ class _Spread:
             content = scene.content.on_host()
             content = content.with_samples(lambda one: np.pad(one, _around(one, rim), mode="edge"))
             scene = dataclasses.replace(
-                scene, content=content, margin=scene.margin + rim, border="scene", depth=None,
-                layers=(), labels={},
+                scene,
+                content=content,
+                margin=scene.margin + rim,
+                border="scene",
+                depth=None,
+                layers=(),
+                labels={},
             )
         return sum(
             blurred_planes(light, camera, scene, border)
@@ -348,7 +353,9 @@ def hidden_difference(camera, scene, sheets, weights) -> np.ndarray:
         planes = np.tensordot(weights, sheet.light, 1)
         planes = np.pad(planes, ((0, 0), *around), mode=MODES[scene.border])
         cover = np.pad(sheet.cover, around, mode=border)
-        parts.append((np.concatenate([planes, cover[None]]), np.pad(sheet.depth, around, mode=border)))
+        parts.append(
+            (np.concatenate([planes, cover[None]]), np.pad(sheet.depth, around, mode=border))
+        )
     seen: float | np.ndarray = 0.0
     means: list = [0.0 for _ in parts]
     for point in points.T:
