@@ -112,7 +112,8 @@ def apertures(scene, camera):
 def kernels(lens, wavelength, points, reach, width=None, tilt=None):
     """Yield the light that apertures receive from a point at each of (y, x, distance).
 
-    width: of the apertures [sample], None: the camera's. tilt: see `spreads`. Each has shape (2 reach + 1, 2 reach + 1).
+    width: of the apertures [sample], None: the camera's. tilt: see `spreads`. Each has shape
+    (2 reach + 1, 2 reach + 1).
     """
     scene, camera = lens.scene, lens.camera
     optics = camera.optics
