@@ -15,7 +15,8 @@ from scipy.ndimage import shift
 from triple_lens import kernels, measured_kernels
 
 POINTS = 300  # of the pupil
-NEAR = 20  # [sample] of the kernel in focus
+NEAR = 20  # [sample] around the places of rays
+FAR = 80  # [sample] of the kernel in focus
 TINY = 1e-4  # of the radius of the pupil: for differences
 
 
@@ -79,12 +80,13 @@ def hidden_difference(lens, sheets, weights, chosen_from, by_distance, slopes) -
             mean[0], mean[1] = mean[0] + light, mean[1] + cover
     place = (0.0, 0.0, optics.object_distance)
     if optics.model == "measured":
-        (own,) = measured_kernels(lens, middle, [place[:2]], NEAR)
+        (own,) = measured_kernels(lens, middle, [place[:2]], FAR)
     else:
-        (own,) = kernels(lens, middle, [place], NEAR)
+        (own,) = kernels(lens, middle, [place], FAR)
 
     def blurred(planes):
-        return scipy.signal.fftconvolve(planes, own[None] / own.sum(), "same", axes=(1, 2))
+        wide = np.pad(planes, ((0, 0), (FAR, FAR), (FAR, FAR)), mode="edge")
+        return scipy.signal.fftconvolve(wide, own[None] / own.sum(), "valid", axes=(1, 2))
 
     apart, through = 0.0, 1.0
     for light, cover in means:

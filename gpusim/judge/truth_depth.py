@@ -37,6 +37,7 @@ STEP, MOST = 0.15, 64  # [wave] of defocus between distances, and their number
 FEW = 4  # as many distances are taken as they are
 DEGREE = 5
 POINTS = 256  # of the pupil
+FAR = 64  # [sample] around images that diffraction blurs
 RIM = 32  # [sample] around a scene of several distances
 TINY = 1e-4  # [radius of the pupil] of differences along it
 TIMES = 8  # that the source of a ray is corrected: each leaves less than JUMP of the error
@@ -385,6 +386,8 @@ def _blur_in_focus(planes, camera, scene, rim, wavelength):
     ]
     q = wavelength * 1e-9 * camera.optics.working_f_number / camera.sensor.pixel_pitch
     q = q * scene.samples_per_pixel
+    # what comes from farther is the same for both images
+    planes = np.pad(planes, _around(planes, FAR), mode="edge")
     spectrum = scipy.fft.fft2(planes)
     fy, fx = (np.fft.fftfreq(n) for n in planes.shape[1:])
     s = np.minimum(np.hypot(fy[:, None], fx) * q, 1)
@@ -392,7 +395,7 @@ def _blur_in_focus(planes, camera, scene, rim, wavelength):
     spectrum = spectrum * round_pupil * np.sinc(cell[0] * fy)[:, None] * np.sinc(cell[1] * fx)
     # at the pixels' places: whole samples, and a phase for the rest
     found = spectrum
-    at = [scene.margin + rim + place for place in pixel_places(camera, scene)]
+    at = [scene.margin + rim + FAR + place for place in pixel_places(camera, scene)]
     for axis, (f, places) in enumerate(zip((fy, fx), at, strict=True), 1):
         waves = np.exp(2j * np.pi * np.outer(places, f)) / len(f)
         found = np.moveaxis(np.tensordot(waves, found, (1, axis)), 0, axis)
