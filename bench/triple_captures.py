@@ -66,7 +66,8 @@ def exposures(question, simulator) -> list[Asked]:
             found.append(_asked(simulator, made, view, start))
         return found
     for number, one in enumerate(views):
-        for capture in captures(question):
+        # rows of a video open while the camera moves
+        for capture in captures(question, is_moving="video" in names):
             light = Light(capture, simulator, one, number * capture.count)
             shots = capture.shots(light, 1, number * capture.count)
             for shot in shots:
@@ -80,11 +81,11 @@ def exposures(question, simulator) -> list[Asked]:
     return found
 
 
-def captures(question, merged=False) -> list[Capture]:
-    """Return the captures of a question."""
+def captures(question, merged=False, is_moving=False) -> list[Capture]:
+    """Return the captures of a question. is_moving: during each, if the question says so or not."""
     names, seconds = question.captures, question.camera.sensor.exposure_time
     more = {"period": PERIOD, "flicker": question.flicker, "merged": merged}
-    if "motion" in names:
+    if "motion" in names or is_moving:
         more["motion"] = question.motion
     if "reads" in names:
         stops = question.stops

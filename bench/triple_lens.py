@@ -109,10 +109,11 @@ def apertures(scene, camera):
     return width, tuple(float(one % 1) for one in first), [int(np.floor(one)) for one in first]
 
 
-def kernels(lens, wavelength, points, reach, width=None):
+def kernels(lens, wavelength, points, reach, width=None, tilt=None):
     """Yield the light that apertures receive from a point at each of (y, x, distance).
 
-    width: of the apertures [sample], None: the camera's. Each has shape (2 reach + 1, 2 reach + 1).
+    width: of the apertures [sample], None: the camera's. tilt: see `spreads`. Each has shape
+    (2 reach + 1, 2 reach + 1).
     """
     scene, camera = lens.scene, lens.camera
     optics = camera.optics
@@ -128,7 +129,7 @@ def kernels(lens, wavelength, points, reach, width=None):
     )
     waves = [lens.waves(wavelength, *point) for point in points]
     front = optics.wavefront
-    if not (optics.pupil.blades or optics.varies or front.zernike):  # round
+    if tilt is None and not (optics.pupil.blades or optics.varies or front.zernike):  # round
         u, of = np.array([0.0, 0.5, 1.0]), waves[0]
         w040 = front.seidel[0] * front.reference / wavelength
         round_ = brute.Spread(q, float(of(u, 0 * u)[2] - w040), w040, optics.pupil.obscuration)
@@ -136,7 +137,7 @@ def kernels(lens, wavelength, points, reach, width=None):
         yield brute.apertured(values, fine, reach, width, phase, extra)
         return
     rule = chords(optics.pupil, np.abs(at).max() / (2 * q) + max(map(steepest, waves)))
-    for values in spreads(rule, q, waves, at):
+    for values in spreads(rule, q, waves, at, tilt):
         yield brute.apertured(values, fine, reach, width, phase, extra)
 
 

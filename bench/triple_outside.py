@@ -119,7 +119,7 @@ def rates_of_world(lens, scene, camera, planes) -> list:
             found.append(own)
         _, _, first = apertures(scene, camera)
         weights = channel_weights(scene, camera)
-        found.append(own + hidden_difference(lens, sheets, weights, first, by_distance))
+        found.append(own + hidden_difference(lens, sheets, weights, first, by_distance, slopes))
     return found
 
 
@@ -131,12 +131,17 @@ def displaced(scene, camera, light, cover, distances):
         cover = seen_by_view(scene, cover[None])[0]
         places = view_places(scene, distances.shape)
         places = [at + (n - 1) / 2 for at, n in zip(places, distances.shape, strict=True)]
-        distances = map_coordinates(distances, places, order=0, mode="nearest")
+        distances = map_coordinates(distances, places, order=_order(distances), mode="nearest")
     if camera.optics.distortion is not None:
         light = distorted(scene, camera, light, 0)
         cover = distorted(scene, camera, cover[None], 0, is_flux=False)[0]
-        distances = distorted(scene, camera, distances[None], 0, order=0)[0]
+        distances = distorted(scene, camera, distances[None], 0, order=_order(distances))[0]
     return light, cover, distances
+
+
+def _order(distances):
+    """Return the order of splines between distances: few jump, others slope."""
+    return 0 if len(np.unique(distances)) <= 4 else 1
 
 
 def spectra(content, band) -> np.ndarray:
@@ -291,6 +296,21 @@ def by_distance(distances):
     return found
 
 
+def slopes(lens, distances):
+    """Return the change of the circle of confusion from sample to sample, along rows and columns.
+
+    A point of a sheet with the circle c is seen through the point u of the pupil at s + c u. A slanted
+    sheet turns its area to one side of the pupil: it shows 1 + u . grad c of it to u. Without that a
+    uniform slanted sheet would be seen unevenly. Jumps of few distances do not slant.
+    """
+    if len(np.unique(distances)) <= 4 or lens.camera.optics.model == "measured":
+        return np.zeros((2, 1, 1))
+    optics = lens.camera.optics
+    pitch = lens.camera.sensor.pixel_pitch / lens.scene.samples_per_pixel
+    shift = (1 / optics.object_distance - 1 / distances) * optics.image_distance**2
+    return np.array(np.gradient(-shift / (2 * optics.working_f_number * pitch)))
+
+
 def rates(lens, planes, more, sheets) -> np.ndarray:
     """Return electrons per second of every channel at every pixel, before the fall-off.
 
@@ -363,24 +383,31 @@ class Spread:
     is_whole: bool
     excess: float = 1.0
 
-    def gathered(self, light, distance, mode):
+    @property
+    def around(self):
+        """Samples around the light that `gathered` needs."""
+        return self.reach + self.room
+
+    def gathered(self, world, distance, tilt=None):
         """Return the light of apertures at all samples and in the margin `room`.
 
-        mode: continuation of the light, as in numpy.pad.
+        world: light, with `around` samples on each side. tilt: axis (0: rows) of the pupil along
+        which it lets light through in proportion to the place; None: evenly.
         """
-        world = np.pad(light, self.reach + self.room, mode=mode)
         reach, measured = self.reach, self.lens.camera.optics.model == "measured"
         if not world.any():
             return np.zeros([n - 2 * reach for n in world.shape])
         if measured and self.lens.varies:
             return gathered_one_by_one(self.lens, self.wavelength, world, reach)
-        key = self.wavelength, distance, reach
+        key = self.wavelength, distance, reach, tilt
         if key not in self.lens.known:
             places = [(*point, distance) for point in self.points]
             self.lens.known[key] = list(
                 measured_kernels(self.lens, self.wavelength, self.points, reach)
                 if measured
                 else self._even(places)
+                if tilt is None
+                else kernels(self.lens, self.wavelength, places, reach, tilt=tilt)
             )
         made = self.lens.known[key]
         size = [scipy.fft.next_fast_len(n + 2 * reach, real=True) for n in world.shape]
@@ -389,7 +416,7 @@ class Spread:
             own = kernel / kernel.sum() if measured and not self.is_whole else kernel
             beyond.append(1 - own.sum())
             total = total + scipy.fft.rfft2(world * share, size) * scipy.fft.rfft2(own, size)
-        if alone:  # all other light is distant
+        if alone and tilt is None:  # all other light is distant
             self.excess = float(np.clip(np.mean(beyond) / alone, 0, 20))
         return scipy.fft.irfft2(total, size)[2 * reach : world.shape[0], 2 * reach : world.shape[1]]
 
@@ -418,14 +445,25 @@ def composed(spread, sheets, afar):
     q = spread.lens.q(spread.wavelength)
     for number, (light, alpha, distances) in enumerate(sheets):
         mine, cover = 0.0, 0.0
-        for distance, share in (
-            [(None, np.ones(light.shape))] if distances is None else by_distance(distances)
-        ):
-            mine = mine + spread.gathered(light * share, distance, brute.MODES[border])
-            if afar:
-                cover = cover + spread.gathered(
-                    alpha * share, distance, "symmetric" if border == "reflect" else "edge"
-                )
+        more = spread.around
+        world = np.pad(light, more, mode=brute.MODES[border])
+        beyond = "symmetric" if border == "reflect" else "edge"
+        covered = np.pad(alpha, more, mode=beyond)
+        if distances is None:
+            return spread.gathered(world, None)
+        distances = np.pad(distances, more, mode=beyond)
+        slope, even = slopes(spread.lens, distances), 0.0
+        for distance, share in by_distance(distances):
+            for tilt, weight in ((None, 1.0), *enumerate(slope)):
+                if not np.any(weight):
+                    continue
+                mine = mine + spread.gathered(world * share * weight, distance, tilt)
+                if slope.any():
+                    even = even + spread.gathered(share * weight, distance, tilt)
+                if afar:
+                    cover = cover + spread.gathered(covered * share * weight, distance, tilt)
+        if slope.any():  # even but for differences at folds: of light that ends at the reach, too
+            mine, cover = (one * even.mean() / even for one in (mine, cover))
         if not afar:
             return mine
         mine, cover = (

@@ -78,10 +78,12 @@ def chords(pupil, cycles: float) -> Chords:
     return Chords(v, own, u, weights, float(own @ weights.sum(axis=1)))
 
 
-def spreads(rule: Chords, q: float, waves, at):
+def spreads(rule: Chords, q: float, waves, at, tilt=None):
     """Yield energy per square sample at `at` x `at` [sample] for each of several wavefronts.
 
     q: wavelength times f-number over the samples' distance. waves: functions of (u, v), in waves.
+    tilt: axis (0: v, 1: u) of a pupil that lets light through in proportion to the place, of which the
+    energy may be negative; to the first order, that of 1 + e u is the energy of 1 and e times this.
     """
     inner, outer = np.pi / q * rule.u, np.exp(1j * np.pi / q * np.outer(at, rule.v)) * rule.mass
     part = max(1, int(CHUNK / (len(rule.v) * len(at))))
@@ -91,12 +93,21 @@ def spreads(rule: Chords, q: float, waves, at):
             [rule.weights * np.exp(2j * np.pi * one(rule.u, rule.v[:, None])) for one in own],
             axis=1,
         )
-        lines = np.empty((len(rule.v), len(own), len(at)), complex)
-        for line, amplitude, u in zip(lines, pupil, inner, strict=True):
-            line[:] = amplitude @ np.exp(1j * np.outer(u, at))
-        total = (outer @ lines.reshape(len(lines), -1)).reshape(len(at), len(own), len(at))
+        even = field = _field(pupil, inner, outer, at)
+        if tilt is not None:
+            place = rule.u[:, None] if tilt else rule.v[:, None, None]
+            field = _field(pupil * place, inner, outer, at)
         for number in range(len(own)):
-            yield np.abs(total[:, number]) ** 2 / (rule.area * 4 * q * q)
+            energy = (even[:, number].conj() * field[:, number]).real
+            yield energy / (rule.area * 4 * q * q)
+
+
+def _field(pupil, inner, outer, at):
+    """Return the amplitudes of wavefronts (K, n, J) at the image, (at, n, at)."""
+    lines = np.empty((len(pupil), pupil.shape[1], len(at)), complex)
+    for line, amplitude, u in zip(lines, pupil, inner, strict=True):
+        line[:] = amplitude @ np.exp(1j * np.outer(u, at))
+    return (outer @ lines.reshape(len(lines), -1)).reshape(len(at), -1, len(at))
 
 
 def zernike(j: int, u, v):

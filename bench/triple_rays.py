@@ -15,7 +15,8 @@ from scipy.ndimage import shift
 from triple_lens import kernels, measured_kernels
 
 POINTS = 300  # of the pupil
-NEAR = 20  # [sample] of the kernel in focus
+NEAR = 20  # [sample] around the places of rays
+FAR = 80  # [sample] of the kernel in focus
 TINY = 1e-4  # of the radius of the pupil: for differences
 
 
@@ -36,44 +37,56 @@ def pupil_points(pupil) -> np.ndarray:
         count = int(count * 1.3)
 
 
-def hidden_difference(lens, sheets, weights, chosen_from, by_distance) -> np.ndarray:
+def hidden_difference(lens, sheets, weights, chosen_from, by_distance, slopes) -> np.ndarray:
     """Return the covariance over the pupil at all pixels, electrons per second (C, rows, cols).
 
     sheets: light times coverage (L, rows, cols), coverage and distances, nearest first. weights: of
-    the channels (C, L). chosen_from: first row and column of the pixels' samples.
+    the channels (C, L). chosen_from: first row and column of the pixels' samples. by_distance, slopes:
+    functions of `triple_outside.py`.
     """
     scene, optics = lens.scene, lens.camera.optics
     middle = float(np.median(scene.wavelengths))
     u, v = pupil_points(optics.pupil)
-    q, parts, most = lens.q(middle), [], 1.0
+    q = lens.q(middle)
+
+    def rays(distance):
+        waves = lens.waves(middle, 0.0, 0.0, distance)
+        across = -2 * q * (waves(u + TINY, v) - waves(u - TINY, v)) / (2 * TINY)
+        down = -2 * q * (waves(u, v + TINY) - waves(u, v - TINY)) / (2 * TINY)
+        return np.stack([down, across], 1)
+
+    ends = [rays(extreme(one)) for *_, one in sheets for extreme in (np.min, np.max)]
+    pad = int(np.ceil(max(1.0, max(np.hypot(*one.T).max() for one in ends)))) + NEAR + 2
+    parts = []
     for light, cover, distances in sheets:
-        planes, own = np.tensordot(weights, light, 1), []
-        for distance, share in by_distance(distances):
-            waves = lens.waves(middle, 0.0, 0.0, distance)
-            across = -2 * q * (waves(u + TINY, v) - waves(u - TINY, v)) / (2 * TINY)
-            down = -2 * q * (waves(u, v + TINY) - waves(u, v - TINY)) / (2 * TINY)
-            most = max(most, np.hypot(down, across).max())
-            own.append((planes * share, cover * share, np.stack([down, across], 1)))
-        parts.append(own)
-    pad = int(np.ceil(most)) + NEAR + 2
-    parts = [[_padded(scene.border, *one, pad) for one in own] for own in parts]
+        planes = np.tensordot(weights, light, 1)
+        planes, cover, distances = _padded(scene.border, planes, cover, distances, pad)
+        slope = slopes(lens, distances)
+        parts.append(
+            [
+                (planes * share, cover * share, slope, rays(distance))
+                for distance, share in by_distance(distances)
+            ]
+        )
     seen, means = 0.0, [[0.0, 0.0] for _ in parts]
     for point in range(len(u)):
         through = 1.0
         for own, mean in zip(parts, means, strict=True):
-            light = sum(_moved(planes, at[point]) for planes, _, at in own)
-            cover = sum(_moved(cover[None], at[point])[0] for _, cover, at in own)
+            shown = 1 + v[point] * own[0][2][0] + u[point] * own[0][2][1]
+            light = sum(_moved(planes * shown, at[point]) for planes, _, _, at in own)
+            cover = sum(_moved((cover * shown)[None], at[point])[0] for _, cover, _, at in own)
             seen = seen + through * light
             through = through * (1 - np.clip(cover, 0, 1))
             mean[0], mean[1] = mean[0] + light, mean[1] + cover
     place = (0.0, 0.0, optics.object_distance)
     if optics.model == "measured":
-        (own,) = measured_kernels(lens, middle, [place[:2]], NEAR)
+        (own,) = measured_kernels(lens, middle, [place[:2]], FAR)
     else:
-        (own,) = kernels(lens, middle, [place], NEAR)
+        (own,) = kernels(lens, middle, [place], FAR)
 
     def blurred(planes):
-        return scipy.signal.fftconvolve(planes, own[None] / own.sum(), "same", axes=(1, 2))
+        wide = np.pad(planes, ((0, 0), (FAR, FAR), (FAR, FAR)), mode="edge")
+        return scipy.signal.fftconvolve(wide, own[None] / own.sum(), "valid", axes=(1, 2))
 
     apart, through = 0.0, 1.0
     for light, cover in means:
@@ -87,13 +100,13 @@ def hidden_difference(lens, sheets, weights, chosen_from, by_distance) -> np.nda
     return change[:, places[0][:, None], places[1]]
 
 
-def _padded(border, planes, cover, at, pad):
+def _padded(border, planes, cover, distances, pad):
     wide = ((pad, pad), (pad, pad))
     outside = "symmetric" if border == "reflect" else "edge"
     return (
         np.pad(planes, ((0, 0), *wide), mode=brute.MODES[border]),
         np.pad(cover, wide, mode=outside),
-        at,
+        np.pad(distances, wide, mode=outside),
     )
 
 

@@ -277,11 +277,16 @@ def convolve(device: Device, path: Path) -> Scene:
         places = own[..., axis] + (edges[:, None] if axis == 0 else edges)
         seen[axis] += max(0.0, np.abs(places).max() - content.shape[axis] / 2)
     pad = np.ceil(seen).astype(int)
-    shape = tuple(int(n + 2 * more) for n, more in zip(content.shape, pad, strict=True))
+    shape = tuple(fft_length(n + 2 * more) for n, more in zip(content.shape, pad, strict=True))
     whole = np.zeros((4, 4, 3))
     whole[..., :2], whole[..., 2] = np.rint(common) - pad, 1
     wide = distort(light, device.array(whole[None]), shape, border, device=device)
-    rows, cols = (fft_length(n) for n in shape)
+    if any(moved := np.abs(points).max(axis=0) > 0):
+        # along the path the mirror image follows: a jump from one end to the other would ring
+        shape = tuple(n * (1 + one) for n, one in zip(shape, moved.tolist(), strict=True))
+        whole[..., :2] = 0
+        wide = distort(wide, device.array(whole[None]), shape, "reflect", device=device)
+    rows, cols = shape
     fy, fx = np.fft.fftfreq(rows)[:, None], np.arange(cols // 2 + 1) / cols
     table = transfer(fy, fx, points, *shares)
     for i in (0, rows // 2) if rows % 2 == 0 else (0,):  # frequencies that are their own opposites

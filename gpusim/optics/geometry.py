@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from math import ceil
 
 import numpy as np
 import scipy
@@ -13,6 +14,12 @@ from gpusim.domain.sensor import Microlens
 from gpusim.optics.lens import Lens
 
 STEPS = (64, 32, 16, 8, 4, 2, 1)  # [pixel] between nodes, at most
+FINER = (
+    1 / 2,
+    1 / 4,
+    1 / 8,
+)  # if the tolerance needs it, in frames of up to MOST_NODES along a side
+MOST_NODES = 1024
 # error of places and fluxes that is small enough; cells along an axis for it, at most
 AIM = 1e-4
 MOST_CELLS = 128
@@ -93,14 +100,21 @@ class DistortionGrid:
 
 
 def distortion_grid(
-    distortion: Model, shape, pitch, source_shape=None, source_pitch=None, tolerance=1e-3
+    distortion: Model,
+    shape,
+    pitch,
+    source_shape=None,
+    source_pitch=None,
+    tolerance=1e-3,
+    finest=FINER[-1],
 ) -> DistortionGrid:
     """Invert `distortion` for a frame of `shape` = (rows, cols) pixels of `pitch` [m], centred on the axis.
 
     source_shape, source_pitch: samples of the undistorted image, centred as well; the same as the frame by default.
     tolerance: largest error of the interpolated positions [source sample] that is allowed. The coarsest grid that errs
-    by at most AIM is chosen, but none finer than MOST_CELLS or than the tolerance needs. Raises OutOfRange for a
-    distortion that cannot be inverted over the frame, or not so well.
+    by at most AIM is chosen, but none finer than MOST_CELLS, than a pixel or than the tolerance needs. finest: least
+    distance of nodes [pixel]. Raises OutOfRange for a distortion that cannot be inverted over the frame, or not so
+    well.
     """
     source_shape, source_pitch = source_shape or shape, source_pitch or pitch
 
@@ -120,8 +134,11 @@ def distortion_grid(
         # 1/s1 the smallest, 1/s2 = flux s1 the largest
         return values, (ratio / s1.max(), ratio * (flux * s1).max())
 
-    for step in STEPS:
-        cells = [max(3, -(-n // step)) for n in shape]
+    error = np.inf, np.inf
+    for step in (*STEPS, *FINER):
+        if step < 1 and (error[0] <= tolerance or step < finest or max(shape) / step > MOST_NODES):
+            break
+        cells = [max(3, ceil(n / step)) for n in shape]
         edges = _edges(shape, np.add(cells, 1))
         values, ratio = places(*edges)
         # about where cubics err most
@@ -135,7 +152,8 @@ def distortion_grid(
     if error[0] > tolerance:
         raise OutOfRange(
             "distortion",
-            f"varies too fast: {error[0]:.2e} of a sample between nodes {step} pixels apart",
+            f"varies too fast: {error[0]:.2e} of a sample between nodes "
+            f"{max(shape) / max(cells):.3g} pixels apart",
             f"at most {tolerance:g}; or a panorama, see gs.view_panorama",
         )
     corners = values[..., :2] + np.stack(np.meshgrid(*edges, indexing="ij"), -1)
@@ -181,7 +199,7 @@ def rim_of(distortion: Model, shape: tuple[int, int], pitch: float) -> int:
             if brighter > STEEPEST * flux or wider > max(0.9 * RATIO_TO_REPORT, ratio):
                 continue
             rows, cols = (n + 2 * rim for n in shape)
-            distortion_grid(distortion, (rows, cols), pitch, shape)
+            distortion_grid(distortion, (rows, cols), pitch, shape, finest=STEPS[-1])
         except OutOfRange:
             continue
         return rim

@@ -179,9 +179,11 @@ class _Groups:
                 table = sampled if is_sharp else smooth
                 hidden = falloff(behind, alpha, device=device)
                 product = falloff(
-                    self._spread(behind, table), self._spread(alpha, table), device=device
+                    self._spread(behind, table, self._border),
+                    self._spread(alpha, table),
+                    device=device,
                 )
-                change = [(-1, self._spread(hidden, table)), (1, product)]
+                change = [(-1, self._spread(hidden, table, self._border)), (1, product)]
                 if more is not None:
                     change += [(1, more), (-1, falloff(more, cover, device=device))]
                 more = _mix(change, device)
@@ -189,13 +191,13 @@ class _Groups:
             behind = light
         return _mix([(1, composed), (1, more)], device)
 
-    def _spread(self, fields, table):
+    def _spread(self, fields, table, border="edge"):
         """Return fields, one of each channel or one of all, blurred in focus."""
         channels, one = table.shape[0], fields.shape[0] == 1
         if not one:
             table = self._device.reshape(table, (1, channels, *table.shape[2:]))
         mix = np.ones((channels, 1), np.float32) if one else np.eye(channels, dtype=np.float32)
-        return blur(fields, table, mix, "edge", self._period, device=self._device)
+        return blur(fields, table, mix, border, self._period, device=self._device)
 
     def _crop(self, planes_, shape, moved):
         """Return planes in the frame of the blurred ones; samples beyond them go on at the edge."""

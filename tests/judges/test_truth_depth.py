@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from test_truth_scenes import PITCH, camera, scene_of
-from test_truth_stars import F_NUMBER, SIDE, pupil_star
+from test_truth_stars import F_NUMBER, SIDE, Q, pupil_star
 
 import gpusim as gs
 from gpusim.domain.distortion import RadialPolynomial
@@ -40,6 +40,7 @@ def distance_at(optics, waves):
 
 # The integral by 6 nodes a pixel errs by 1e-6, splines between distances by 2e-4 of the peak,
 # transfer functions along the rays of a polygon by 1.5e-5, splines over the field by 1e-4 of it.
+# The slope turns more of its area to one side of the pupil: 1 + x dr/ds for rays to s + r x, r = -4 q W.
 @pytest.mark.parametrize("waves", [0.8, -1.3])
 @pytest.mark.parametrize(
     ("more", "wave", "options"),
@@ -60,21 +61,81 @@ def test_a_star_has_the_spread_of_its_own_distance(waves, more, wave, options):
     own = near_camera(**more)
     at, plane = 22, np.zeros((N, N))
     plane[at, at] = 1e4
+    tilt = -4 * Q / (N - 1)
     slope = (
         np.linspace(-0.5, 0.5, N)[None].repeat(N, axis=0) + waves - np.linspace(-0.5, 0.5, N)[at]
     )
     if more and "hole" not in options:  # few kernels of these take long
-        slope = np.where(slope < slope[0, at] + 0.2, slope[0, at], waves + 0.5)
+        slope, tilt = np.where(slope < slope[0, at] + 0.2, slope[0, at], waves + 0.5), 0.0
     scene = scene_of(plane, "zero", depth=distance_at(own.optics, slope))
     place = ((at - (N - 1) / 2) / np.hypot(N, N) * 2,) * 2
 
     def front(x, y):
         return waves * (x * x + y * y) + (wave(x, y, place) if wave else 0)
 
-    wanted = pupil_star(front, **options)
+    wanted = pupil_star(front, tilt=tilt, **options)
     window = (slice(at - SIDE // 2, at + SIDE // 2 + 1),) * 2
     found = truth_of(own, scene)[window] / 1e4
-    assert np.abs(found - wanted).max() < 1e-3 * wanted.max()
+    # the tilt's shortest waves alias on the samples: 0.13 of its largest change
+    tilted = np.abs(wanted - pupil_star(front, **options)).max()
+    assert np.abs(found - wanted).max() < 1e-3 * wanted.max() + 0.13 * tilted
+
+
+def slope_of(optics, steep, shape, first=3.0):
+    """Return circles of confusion that grow by `steep` samples a column, and their distances."""
+    circles = steep * (np.arange(shape[1]) - shape[1] / 2 + first)
+    waves = circles / 2 * PITCH / (4 * WAVE * optics.working_f_number)
+    return circles, np.broadcast_to(distance_at(optics, waves), shape)
+
+
+@pytest.mark.parametrize("border", ["edge", "reflect"])
+@pytest.mark.parametrize("steep", [0.1, 0.4])
+@pytest.mark.parametrize(
+    "more",
+    [
+        pytest.param({}, id="round"),
+        pytest.param({"pupil": Pupil(0, 0.4)}, id="obscured", marks=pytest.mark.slow),
+    ],
+)
+def test_an_even_wall_has_an_even_picture_at_any_slope(border, steep, more):
+    """Radiance is kept along rays: each ray of a pixel's cone meets the wall, and all see the same light."""
+    own = near_camera(f_number=2.0, **more)
+    shape = (12, 20)
+    depth = slope_of(own.optics, steep, shape)[1]
+    found = truth_of(own, scene_of(np.ones(shape), border, depth=depth))
+    assert np.abs(found - 1).max() < 1e-9
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_the_picture_of_a_slope_is_seen_along_the_rays_of_each_pixel(axis):
+    """A wave on a slope: the mean over the pupil of the light where each ray of a pixel meets it.
+
+    With rays of s to s + r(s) u, r = r0 + r' s, the ray u of the pixel x comes from s = (x - r0 u) /
+    (1 + r' u).
+    """
+    own = near_camera(f_number=2.0)
+    steep, shape = 0.3, (12, 44)
+    circles, depth = slope_of(own.optics, steep, shape)
+    at, f = np.arange(shape[1]), 0.06
+    plane = 1 + np.cos(2 * np.pi * f * at) * np.ones((shape[0], 1))
+    if axis == 0:
+        plane, depth = plane.T, depth.T
+    found = truth_of(own, scene_of(plane, depth=depth))
+    row = found[shape[0] // 2] if axis else found[:, shape[0] // 2]
+    # rays of a pupil point are displaced by -4 q W u = -r u; a chord at u is sqrt(1 - u^2) long
+    u = np.cos(np.pi * (np.arange(400) + 0.5) / 400)
+    mass = 1 - u * u
+    first, slope = -circles[0] / 2, -steep / 2
+    source = (at[:, None] - first * u) / (1 + slope * u)
+    inside = slice(14, -14)  # of the edges' influence
+    wanted = (1 + np.cos(2 * np.pi * f * source)) @ mass / mass.sum()
+    # diffraction at f passes 1 - 4 q f / pi of the wave, the pixel sinc(f)
+    q = WAVE * own.optics.working_f_number / PITCH
+    passed = (1 - 4 * q * f / np.pi) * np.sinc(f)
+    assert np.abs((row - 1) / passed - (wanted - 1))[inside].max() < 0.02
+    even = 1 / (1 + slope * u)  # rays that are spread with the same light each
+    spread = ((1 + np.cos(2 * np.pi * f * source)) * even) @ mass / mass.sum()
+    assert np.abs(spread - wanted)[inside].max() > 0.003
 
 
 def test_the_star_matrix_has_this_lens():

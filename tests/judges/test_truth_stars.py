@@ -53,14 +53,18 @@ def sectors(blades=0, hole=0.0, order=56):
     return np.concatenate(points, axis=1), np.concatenate(areas)
 
 
-def pupil_star(waves, blades=0, hole=0.0):
-    """Energy of a point in SIDE x SIDE pixels around it. waves: of x, y in the pupil [waves at 550 nm]."""
+def pupil_star(waves, blades=0, hole=0.0, tilt=0.0):
+    """Energy of a point in SIDE x SIDE pixels around it. waves: of x, y in the pupil [waves at 550 nm].
+
+    tilt: the light at x in the pupil is 1 + tilt x.
+    """
     (x, y), area = sectors(blades, hole)
     nodes, mass = np.polynomial.legendre.leggauss(6)
     at = (np.arange(SIDE)[:, None] - SIDE // 2 + nodes / 2).ravel()
     # a ray through (x, y) meets the image at -2 q grad W (Welford 7.16)
     down, across = (np.exp(2j * np.pi * np.outer(at, part) / (2 * Q)) for part in (y, x))
-    field = (down * (area * np.exp(2j * np.pi * waves(x, y)))) @ across.T
+    field = np.sqrt(1 + tilt * x) * np.exp(2j * np.pi * waves(x, y))
+    field = (down * (area * field)) @ across.T
     light = np.abs(field).reshape(SIDE, 6, SIDE, 6) ** 2
     # Parseval: the whole image has the pupil's area times (2 q)^2
     return np.einsum("iajb,a,b->ij", light, mass / 2, mass / 2) / (4 * Q**2 * area.sum())
