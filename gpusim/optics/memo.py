@@ -49,7 +49,9 @@ def remember(most: int) -> Callable:
 
 
 def _arrays(value):
-    return [one for one in (value if isinstance(value, tuple) else (value,)) if hasattr(one, "flags")]
+    return [
+        one for one in (value if isinstance(value, tuple) else (value,)) if hasattr(one, "flags")
+    ]
 
 
 def _bytes(value):
@@ -57,7 +59,10 @@ def _bytes(value):
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a @ b; small products in pieces for which OpenBLAS starts no threads, which would compete with a pool's."""
+    """Return a @ b.
+
+    Small products are in pieces for which OpenBLAS starts no threads: these would compete with a pool's.
+    """
     (rows, length), cols = a.shape, b.shape[1]
     if not UNTHREADED < rows * length * cols < SMALL:
         return a @ b
@@ -66,7 +71,11 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     out = np.empty((rows, cols), np.result_type(a, b))
     for i in range(0, rows, side):
         for j in range(0, cols, side):
-            piece, left, right = out[i : i + side, j : j + side], a[i : i + side], b[:, j : j + side]
+            piece, left, right = (
+                out[i : i + side, j : j + side],
+                a[i : i + side],
+                b[:, j : j + side],
+            )
             np.matmul(left[:, :terms], right[:terms], out=piece)
             for k in range(terms, length, terms):
                 piece += left[:, k : k + terms] @ right[k : k + terms]

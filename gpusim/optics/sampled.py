@@ -5,7 +5,7 @@ Lengths in the image are X = x / (2 lambda N), cycles of the pupil's phase per r
     A(X, Y) = integral over the pupil of  exp(2 pi i (W(u, v) - X u - Y v)) du dv
 
 is a sum over rows of the pupil, at Gauss nodes v between the kinks of its outline. Along a row the samples are even,
-so that the waves of one row are those of all. Samples next to the row's ends have the weights that integrate the polynomial
+so that all rows share their waves. Samples next to the row's ends have the weights that integrate the polynomial
 through the nearest ORDER of them up to the true end: the edge costs no accuracy. The irradiance |A|^2 has no
 frequencies beyond the cut-off, so samples 1/4 apart (lambda N / 2) determine it. A pixel's share of each sample is the
 transform of its aperture up to the cut-off, which separates into rows and columns.
@@ -210,7 +210,9 @@ def _grid(pupil, half, cycles, upper):
     _, u = _places(count)
     x = 2 * np.pi * STEP * np.arange(half + 1)
     along, across = np.outer(u[count // 2 :], x), np.outer(x, v)
-    waves = (turn(phase).astype(np.float32) for phase in (along, across) for turn in (np.cos, np.sin))
+    waves = (
+        turn(phase).astype(np.float32) for phase in (along, across) for turn in (np.cos, np.sin)
+    )
     return v, u, weights, *waves
 
 
@@ -257,7 +259,7 @@ def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
 
 @remember(2**25)
 def _passed_waves(half, q, aperture, spot, soft, farthest):
-    """Frequencies f (F,) and the cosines and sines at the samples, times what passes the pixel, float32 (F, samples)."""
+    """Frequencies (F,), and their cosines and sines at the samples times the pixel's transfer, float32 (F, samples)."""
     samples = np.arange(-half, half + 1) * (2 * q * STEP)
     x, gauss = _gauss(int(np.ceil(1.7 * (abs(samples[0]) + farthest) / q)) + 16)
     f, gauss = (x + 1) / (2 * q), gauss / (2 * q)
