@@ -71,9 +71,11 @@ class Stages(Protocol):
     Attributes:
         whole: Whether frames are blurred with the tables. If so, spreads that do not fit into
             the period are refused.
+        affordable: Points of integrals up to which these are worth their time; beyond, pupils are sampled.
     """
 
     whole: bool
+    affordable: float
 
     def airy(self, q, aperture, rows: int, cols: int) -> Any:
         """Return tables of a clear circular pupil in focus: see the stage `optics.airy`."""
@@ -395,7 +397,7 @@ class PupilLens(_OnGrid):
             return stages.airy(q, self.aperture, rows, cols)
         optics, images = self.optics, tuple(2 * spot for spot in self.spots)
         soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
-        if not is_too_costly(optics.pupil, waves):
+        if not is_too_costly(optics.pupil, waves, stages.affordable):
             return stages.pupil(optics.pupil, waves, q, *settings, images, soft, self.displacement)
         flat = np.zeros((len(q), 1, 1))
         focus = stages.pupil(optics.pupil, flat, q, *settings, images, soft, self.displacement)

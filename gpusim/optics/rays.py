@@ -49,11 +49,11 @@ def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
         length = _finer(length, rest, error)
 
 
-def is_too_costly(outline: Pupil, waves) -> bool:
-    """Return True if the integrals of a table are foreseen to take more than AFFORDABLE points."""
+def is_too_costly(outline: Pupil, waves, affordable: float = AFFORDABLE) -> bool:
+    """Return True if the integrals of a table are foreseen to take more than `affordable` points."""
     if defocus_only(outline, waves) or not waves.any():
         return False
-    return foresee_points(outline, waves) > AFFORDABLE
+    return foresee_points(outline, waves) > affordable
 
 
 @lru_cache(maxsize=64)
