@@ -21,6 +21,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, symmetric
+from gpusim.domain.stored import stored
 from gpusim.optics import farfield, points
 from gpusim.optics.depth import circle_of_confusion
 from gpusim.optics.geometric import coarse_kernel, ray_error, ray_tables
@@ -492,15 +493,8 @@ class PupilLens(_OnGrid):
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         spots, soft = self.spots, optics.diffuser / self.pitch
-        settings = size, self.aperture, spots, soft
-        kernel = coarse_kernel if self.is_coarse else sampled_kernel
-        return np.array(
-            [
-                kernel(optics.pupil, wave, one, shift, *settings)
-                for wave, one, shift in zip(waves, q, shifts, strict=True)
-            ],
-            np.float64,
-        )
+        settings = size, tuple(self.aperture), spots, soft
+        return _kernels(optics.pupil, waves, q, shifts, self.is_coarse, *settings)
 
     def _colour_shifts(self, wavelengths, place):
         """Displacement of a point's image by lateral colour, (L, 2) [sample]."""
@@ -512,6 +506,19 @@ class PupilLens(_OnGrid):
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+
+
+@stored
+def _kernels(pupil, waves, q, shifts, is_coarse, *settings):
+    """Kernels (L, size, size), float64: see `gpusim.optics.sampled.sampled_kernel`."""
+    kernel = coarse_kernel if is_coarse else sampled_kernel
+    return np.array(
+        [
+            kernel(pupil, wave, one, shift, *settings)
+            for wave, one, shift in zip(waves, q, shifts, strict=True)
+        ],
+        np.float64,
+    )
 
 
 @dataclass(frozen=True, eq=False)

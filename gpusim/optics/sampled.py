@@ -26,6 +26,7 @@ from numpy.polynomial.polynomial import polyint
 from scipy.special import roots_legendre
 
 from gpusim.domain.pupil import Pupil
+from gpusim.domain.stored import stored
 from gpusim.optics.farfield import edge_tail
 from gpusim.optics.memo import multiply, remember
 from gpusim.optics.otf import FAST, transfer
@@ -354,6 +355,7 @@ def _difference(pupil, wave, half, focus, fading):
     return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
 
 
+@stored
 def difference_tables(
     pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift
 ) -> np.ndarray:
