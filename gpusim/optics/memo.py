@@ -1,4 +1,4 @@
-"""Results of functions that are kept in memory, up to a number of bytes; and products of small matrices."""
+"""Results of functions that are kept in memory, up to a number of bytes; and products of matrices in a pool's threads."""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -12,7 +12,6 @@ import numpy as np
 from gpusim.optics.otf import UNTHREADED
 
 LONGEST = 256  # terms of a sum in one piece: pieces are at least 32 x 32 then
-SMALL = 2**27  # products that take a processor's core a few milliseconds
 
 
 def remember(most: int) -> Callable:
@@ -59,12 +58,9 @@ def _bytes(value):
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a @ b.
-
-    Small products are in pieces for which OpenBLAS starts no threads: these would compete with a pool's.
-    """
+    """Return a @ b, in pieces for which OpenBLAS starts no threads: these would compete with a pool's."""
     (rows, length), cols = a.shape, b.shape[1]
-    if not UNTHREADED < rows * length * cols < SMALL:
+    if rows * length * cols <= UNTHREADED:
         return a @ b
     terms = ceil(length / ceil(length / LONGEST))
     side = int((UNTHREADED / terms) ** 0.5)

@@ -40,14 +40,16 @@ def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
     """
     _, scaled, to_bands = scales(waves)
     length = 512 * (1 + ceil(peak_to_valley(waves)))
-    table = _radial(outline, scaled, length, error)
+    table = _radial(outline, scaled.tobytes(), scaled.shape, length, error)
     require_memory("transfer tables", 16 * table.shape[1] * len(waves))
     return to_bands @ table
 
 
+@lru_cache(maxsize=2)
 @stored
-def _radial(outline, waves, length, error):
+def _radial(outline, values, shape, length, error):
     """The same for the wavefronts that are integrated, see `scales`."""
+    waves = np.frombuffer(values).reshape(shape)
     series = expansion(outline, waves)
     while True:
         require_memory("transfer tables", 16 * length * len(waves))

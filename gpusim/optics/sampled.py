@@ -72,11 +72,15 @@ def _cumulative():
 def _share(distance):
     """Integral of the local kernel up to `distance` from its sample [steps]."""
     half, cells = ORDER // 2, _cumulative()
-    cell = np.clip(np.floor(distance).astype(int), -half, half - 1)
-    t = np.clip(distance - cell, 0, 1)
-    value = np.zeros_like(t)
-    for k in reversed(range(ORDER + 1)):
-        value = value * t + cells[cell + half, k]
+    value = (distance > 0).astype(np.float64)
+    near = np.abs(distance) < half
+    place = distance[near]
+    cell = np.floor(place).astype(int)
+    t, terms = place - cell, cells.T[:, cell + half]
+    found = terms[ORDER]
+    for k in reversed(range(ORDER)):
+        found = found * t + terms[k]
+    value[near] = found
     return value
 
 
@@ -383,10 +387,10 @@ def difference_tables(
         if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
             down = _fold(np.fft.fftfreq(rows), half, *first)
             across = _fold(np.arange(cols // 2 + 1) / cols, half, *second)
-            out[band] = (down @ left.astype(np.complex64)) @ across.T
+            out[band] = multiply(multiply(down, left.astype(np.complex64)), across.T)
         else:
             down, across = (pixel_shares(size, half, *axis) for axis in (first, second))
-            out[band] = _wrap(down @ (left @ across.T), rows, cols)
+            out[band] = _wrap(multiply(down, multiply(left, across.T)), rows, cols)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
