@@ -1,4 +1,4 @@
-"""Results of functions that are kept in memory, up to a number of bytes; and products of matrices in a pool's threads."""
+"""Results of functions that are kept in memory, up to a number of bytes; products of matrices in threads of a pool."""
 
 from collections import OrderedDict
 from collections.abc import Callable
