@@ -14,6 +14,9 @@ QUICK = (HERE / "host", HERE / "stages/test_stages.py")  # all that `-m quick` r
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# Results do not depend on what earlier runs have left in the user's cache folder.
+os.environ["GPUSIM_TABLES"] = ""
+
 # PoCL and OpenBLAS of every worker take all processors: here they share them. PoCL two, so that work-groups meet.
 if "PYTEST_XDIST_WORKER_COUNT" in os.environ:
     share = (os.cpu_count() or 1) // int(os.environ["PYTEST_XDIST_WORKER_COUNT"])

@@ -21,6 +21,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, symmetric
+from gpusim.domain.stored import stored
 from gpusim.optics import farfield, points
 from gpusim.optics.depth import circle_of_confusion
 from gpusim.optics.geometric import coarse_kernel, ray_error, ray_tables
@@ -71,9 +72,11 @@ class Stages(Protocol):
     Attributes:
         whole: Whether frames are blurred with the tables. If so, spreads that do not fit into
             the period are refused.
+        affordable: Points of integrals up to which these are worth their time; beyond, pupils are sampled.
     """
 
     whole: bool
+    affordable: float
 
     def airy(self, q, aperture, rows: int, cols: int) -> Any:
         """Return tables of a clear circular pupil in focus: see the stage `optics.airy`."""
@@ -395,7 +398,7 @@ class PupilLens(_OnGrid):
             return stages.airy(q, self.aperture, rows, cols)
         optics, images = self.optics, tuple(2 * spot for spot in self.spots)
         soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
-        if not is_too_costly(optics.pupil, waves):
+        if not is_too_costly(optics.pupil, waves, stages.affordable):
             return stages.pupil(optics.pupil, waves, q, *settings, images, soft, self.displacement)
         flat = np.zeros((len(q), 1, 1))
         focus = stages.pupil(optics.pupil, flat, q, *settings, images, soft, self.displacement)
@@ -490,15 +493,8 @@ class PupilLens(_OnGrid):
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         spots, soft = self.spots, optics.diffuser / self.pitch
-        settings = size, self.aperture, spots, soft
-        kernel = coarse_kernel if self.is_coarse else sampled_kernel
-        return np.array(
-            [
-                kernel(optics.pupil, wave, one, shift, *settings)
-                for wave, one, shift in zip(waves, q, shifts, strict=True)
-            ],
-            np.float64,
-        )
+        settings = size, tuple(self.aperture), spots, soft
+        return _kernels(optics.pupil, waves, q, shifts, self.is_coarse, *settings)
 
     def _colour_shifts(self, wavelengths, place):
         """Displacement of a point's image by lateral colour, (L, 2) [sample]."""
@@ -510,6 +506,19 @@ class PupilLens(_OnGrid):
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+
+
+@stored
+def _kernels(pupil, waves, q, shifts, is_coarse, *settings):
+    """Kernels (L, size, size), float64: see `gpusim.optics.sampled.sampled_kernel`."""
+    kernel = coarse_kernel if is_coarse else sampled_kernel
+    return np.array(
+        [
+            kernel(pupil, wave, one, shift, *settings)
+            for wave, one, shift in zip(waves, q, shifts, strict=True)
+        ],
+        np.float64,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,7 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder, polygrid2d, polyval2d
+from numpy.polynomial.polynomial import polyder
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
@@ -14,19 +14,35 @@ CELLS = 128  # along the pupil, for mean slopes of the wavefront
 
 def steepest_slope(wave) -> float:
     """Return the largest slope of the wavefront in the pupil [waves per radius]."""
-    u = np.linspace(-1, 1, 17)
-    x, y = (polygrid2d(u, u, slope) for slope in _derivatives(wave))
-    return float(np.hypot(x, y)[u[:, None] ** 2 + u**2 <= 1].max())
+    return _largest(wave, at_rim=False)
 
 
 def fastest_turn(wave) -> float:
     """Return the largest slope of the wavefront, at the rim also where it turns fast [waves per radius]."""
-    order = len(wave)
-    angle = np.arange(8 * order) * (np.pi / (4 * order))
-    radius = np.linspace(0.6, 1, 5)[:, None]
-    at = radius * np.cos(angle), radius * np.sin(angle)
-    x, y = (polyval2d(*at, slope) for slope in _derivatives(wave))
-    return max(float(np.hypot(x, y).max()), steepest_slope(wave))
+    return _largest(wave, at_rim=True)
+
+
+def _largest(wave, at_rim):
+    slopes = _slopes(len(wave), at_rim) @ np.asarray(wave, np.float64).ravel()
+    return float(np.hypot(*slopes).max())
+
+
+@lru_cache(maxsize=32)
+def _slopes(order, at_rim):
+    """Slopes of x^i y^j along x and y at places in the pupil, (2, places, order^2)."""
+    u = np.linspace(-1, 1, 17)
+    y, x = (part[u[:, None] ** 2 + u**2 <= 1] for part in np.meshgrid(u, u, indexing="ij"))
+    if at_rim:
+        angle = np.arange(8 * order) * (np.pi / (4 * order))
+        radius = np.linspace(0.6, 1, 5)[:, None]
+        x, y = (
+            np.append(inner, radius * turn(angle)) for inner, turn in ((x, np.cos), (y, np.sin))
+        )
+    powers = np.arange(order)
+    in_x, in_y = (part[:, None] ** powers for part in (x, y))
+    by_x, by_y = (powers * part[:, None] ** np.maximum(powers - 1, 0) for part in (x, y))
+    pairs = ((by_x, in_y), (in_x, by_y))
+    return np.array([np.einsum("pi,pj->pij", *pair).reshape(len(x), -1) for pair in pairs])
 
 
 def _derivatives(wave):

@@ -13,6 +13,7 @@ import numpy as np
 
 from gpusim.domain.memory import require_memory
 from gpusim.domain.pupil import Pupil, symmetric
+from gpusim.domain.stored import stored
 from gpusim.optics.otf import FAST, defocus_only, transfer
 from gpusim.optics.series import (
     expansion,
@@ -38,22 +39,32 @@ def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
     `transfer`, DoesNotFit.
     """
     _, scaled, to_bands = scales(waves)
-    series = expansion(outline, scaled)
     length = 512 * (1 + ceil(peak_to_valley(waves)))
+    table = _radial(outline, scaled.tobytes(), scaled.shape, length, error)
+    require_memory("transfer tables", 16 * table.shape[1] * len(waves))
+    return to_bands @ table
+
+
+@lru_cache(maxsize=2)
+@stored
+def _radial(outline, values, shape, length, error):
+    """The same for the wavefronts that are integrated, see `scales`."""
+    waves = np.frombuffer(values).reshape(shape)
+    series = expansion(outline, waves)
     while True:
         require_memory("transfer tables", 16 * length * len(waves))
         table = series(1 - np.linspace(1, 0, length) ** 2, np.zeros(1))[:, 0].real
         rest = cubic_error(table)
         if rest <= error:
-            return to_bands @ table
+            return table
         length = _finer(length, rest, error)
 
 
-def is_too_costly(outline: Pupil, waves) -> bool:
-    """Return True if the integrals of a table are foreseen to take more than AFFORDABLE points."""
+def is_too_costly(outline: Pupil, waves, affordable: float = AFFORDABLE) -> bool:
+    """Return True if the integrals of a table are foreseen to take more than `affordable` points."""
     if defocus_only(outline, waves) or not waves.any():
         return False
-    return foresee_points(outline, waves) > AFFORDABLE
+    return foresee_points(outline, waves) > affordable
 
 
 @lru_cache(maxsize=64)
@@ -91,6 +102,7 @@ def polar_table(outline: Pupil, waves, error=None):
 
 # a plan takes few wavelengths and a frame all of them, by the same wavefronts
 @lru_cache(maxsize=2)
+@stored
 def _rays(outline, values, shape, range_, error):
     """The same for the wavefronts that are integrated, see `scales`."""
     scaled = np.frombuffer(values).reshape(shape)

@@ -5,7 +5,7 @@ Lengths in the image are X = x / (2 lambda N), cycles of the pupil's phase per r
     A(X, Y) = integral over the pupil of  exp(2 pi i (W(u, v) - X u - Y v)) du dv
 
 is a sum over rows of the pupil, at Gauss nodes v between the kinks of its outline. Along a row the samples are even,
-so that one transform serves all X. Samples next to the row's ends have the weights that integrate the polynomial
+so that all rows share their waves. Samples next to the row's ends have the weights that integrate the polynomial
 through the nearest ORDER of them up to the true end: the edge costs no accuracy. The irradiance |A|^2 has no
 frequencies beyond the cut-off, so samples 1/4 apart (lambda N / 2) determine it. A pixel's share of each sample is the
 transform of its aperture up to the cut-off, which separates into rows and columns.
@@ -18,15 +18,17 @@ falls as r^-5.
 import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
-from itertools import pairwise, product
+from itertools import pairwise
 
 import numpy as np
 import scipy.fft
-from numpy.polynomial.polynomial import polygrid2d, polyint
+from numpy.polynomial.polynomial import polyint
 from scipy.special import roots_legendre
 
 from gpusim.domain.pupil import Pupil
+from gpusim.domain.stored import stored
 from gpusim.optics.farfield import edge_tail
+from gpusim.optics.memo import multiply, remember
 from gpusim.optics.otf import FAST, transfer
 from gpusim.optics.psf import fastest_turn
 
@@ -40,7 +42,7 @@ STEP = 0.25  # of the samples of the irradiance, in X
 FINE = 5.0  # samples of a row in a cycle of the fastest phase
 PIECE = 1024  # frequencies at a time
 NODES = 4  # of the Gauss nodes of half a panel where nothing turns
-PER_CYCLE = 1.75  # of them for every cycle of the phase from one end of the panel to the other
+PER_CYCLE = 1.5  # of them for every cycle of the phase from one end of the panel to the other
 
 
 @lru_cache(maxsize=1)
@@ -70,48 +72,64 @@ def _cumulative():
 def _share(distance):
     """Integral of the local kernel up to `distance` from its sample [steps]."""
     half, cells = ORDER // 2, _cumulative()
-    cell = np.clip(np.floor(distance).astype(int), -half, half - 1)
-    t = np.clip(distance - cell, 0, 1)
-    value = np.zeros_like(t)
-    for k in reversed(range(ORDER + 1)):
-        value = value * t + cells[cell + half, k]
+    value = (distance > 0).astype(np.float64)
+    near = np.abs(distance) < half
+    place = distance[near]
+    cell = np.floor(place).astype(int)
+    t, terms = place - cell, cells.T[:, cell + half]
+    found = terms[ORDER]
+    for k in reversed(range(ORDER)):
+        found = found * t + terms[k]
+    value[near] = found
     return value
 
 
-@lru_cache(maxsize=16)
-def rows_of(pupil: Pupil, cycles: float, count: int):
+def _panels(pupil, cycles):
+    """Rows v of a polygon (R,) and their weights: Gauss nodes between its corners."""
+    places, masses = [], []
+    for low, high in pairwise(np.unique(np.round(np.sin(pupil.corners), 12))):
+        # how far the ends of rows move over the panel, along and across
+        edges = np.array(_chord(pupil, np.array([low, high])))
+        moved = high - low + np.abs(np.diff(edges)).max()
+        # none of the nodes in the middle
+        x, gauss = _gauss(2 * (NODES + int(np.ceil(0.5 * PER_CYCLE * cycles * moved))))
+        places.append(low + (high - low) * (x + 1) / 2)
+        masses.append(gauss * (high - low) / 2)
+    return np.concatenate(places), np.concatenate(masses)
+
+
+def _circle(radius, cycles):
+    """Rows v of a circle (R,) and their weights.
+
+    Sums along rows are sqrt(radius^2 - v^2) times a smooth function: Gauss nodes of that weight (Chebyshev, second
+    kind).
+    """
+    turns = cycles * radius
+    count = 2 * int(np.ceil(np.pi / 2 * turns + 2 * np.cbrt(turns))) + 4 * NODES
+    turn = np.arange(1, count + 1) * (np.pi / (count + 1))
+    return -radius * np.cos(turn), radius * np.sin(turn) * (np.pi / (count + 1))
+
+
+@lru_cache(maxsize=256)
+def _gauss(count):
+    return roots_legendre(count)
+
+
+def rows_of(pupil: Pupil, cycles: float, count: int, diagonal: float):
     """Rows of a pupil: places v (R,), and the weights of `count` even samples u of each row (R, count), float32.
 
-    cycles: of the fastest phase per radius.
+    An obstruction has rows of its own, of negative weights. cycles: of the fastest phase per radius, along rows and
+    columns. diagonal: the same in any direction.
     """
-    hole, straight = pupil.obscuration, pupil.sides.size > 0
-    kinks = np.array([-hole, hole] if hole else [])
-    kinks = np.concatenate([kinks, np.sin(pupil.corners) if straight else (-1.0, 1.0)])
-    kinks = np.unique(np.round(kinks, 12))
-    ends = kinks if straight else np.arcsin(np.clip(kinks, -1, 1))
-    places, masses = [], []
-    for low, high in pairwise(ends):
-        # how far the ends of rows move over the panel, along and across
-        moved = high - low
-        if straight:
-            edges = np.array(_chord(pupil, np.array([low, high])))
-            moved += np.abs(np.diff(edges)).max()
-        half = NODES + int(np.ceil((0.75 if hole else 0.5) * PER_CYCLE * cycles * moved))
-        x, gauss = roots_legendre(2 * half)  # none of them in the middle
-        slope = np.ones_like(x)
-        if hole:  # roots at a panel's ends become smooth
-            x, slope = (3 * x - x**3) / 2, 1.5 * (1 - x * x)
-        at, weight = low + (high - low) * (x + 1) / 2, gauss * slope * (high - low) / 2
-        places.append(at if straight else np.sin(at))
-        masses.append(weight if straight else weight * np.cos(at))
-    v, mass = np.concatenate(places), np.concatenate(masses)
     step, u = _places(count)
-    left, right = _chord(pupil, v)
-    weights = _between(left, right, u, step)
-    if hole:
-        reach = np.sqrt(np.maximum(hole**2 - v * v, 0))
-        weights -= _between(-reach, reach, u, step)
-    return v, (weights * (mass * step)[:, None]).astype(np.float32)
+    v, mass = _panels(pupil, cycles) if pupil.sides.size else _circle(1.0, diagonal)
+    weights = _between(*_chord(pupil, v), u, step) * (mass * step)[:, None]
+    if hole := pupil.obscuration:
+        rows, mass = _circle(hole, diagonal)
+        reach = np.sqrt(np.maximum(hole**2 - rows * rows, 0))
+        less = _between(-reach, reach, u, step) * (mass * step)[:, None]
+        v, weights = np.concatenate([v, rows]), np.concatenate([weights, -less])
+    return v, weights.astype(np.float32)
 
 
 def _chord(pupil, v):
@@ -141,51 +159,66 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
 
     float32, rows first. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
     """
+    wave = np.asarray(wave, np.float64)
+    return _irradiance(pupil, half, wave.shape, np.round(wave, 12).tobytes())
+
+
+@remember(2**26)
+def _irradiance(pupil, half, shape, values):
+    wave = np.frombuffer(values).reshape(shape)
     cycles = half * STEP + fastest_turn(wave)
     # rounded up, so that wavelengths and places share rows
     cycles = float(np.exp2(np.ceil(8 * np.log2(max(cycles, 4))) / 8))
-    # samples 4 / length apart: transforms of this length have X in steps of STEP
-    length = scipy.fft.next_fast_len(2 * int(np.ceil(FINE * cycles))) * 2
-    count = length // 2 + ORDER
-    v, weights = rows_of(pupil, cycles, count)
-    _, u = _places(count)
     even = len(pupil.sides) % 2 == 0 and not _odd(wave).any()
-    if even:  # rows -v are the rows v from right to left: sums over v > 0 make all
-        upper = len(v) // 2
-        v, weights = v[upper:], weights[upper:]
-    path = polygrid2d(u, v, wave).T
-    phase = (2 * np.pi * (path - np.rint(path))).astype(np.float32)
-    opening = np.empty(phase.shape, np.complex64)
-    np.multiply(np.cos(phase), weights, out=opening.real)
-    np.multiply(np.sin(phase), weights, out=opening.imag)
-    lines = scipy.fft.ifft(opening, length, norm="forward")
-    turn = np.exp(-2j * np.pi * ((count - 1) / 2 / length * np.arange(half + 1))).astype(
-        np.complex64
-    )
-    plus = lines[:, : half + 1] * turn
-    minus = np.concatenate([lines[:, :1], lines[:, : -half - 1 : -1]], axis=1) * turn.conj()
+    v, u, weights, cos_u, sin_u, cos_v, sin_v = _grid(pupil, half, cycles, even)
+    powers = np.arange(len(wave))
+    path = multiply(v[:, None] ** powers, wave.T @ u ** powers[:, None])
+    path -= np.rint(path)
+    phase = path.astype(np.float32)
+    phase *= np.float32(2 * np.pi)
     # sums with cosines and sines over u, then over v, for X and Y >= 0; signs make the other quadrants
-    by_cos, by_sin = (_pair(both) for both in ((plus + minus) / 2, (plus - minus) / 2j))
-    cos_v, sin_v = _turns_across(pupil, half, cycles, count)
-    cos_v, sin_v = cos_v[:, -len(v) :], sin_v[:, -len(v) :]
-    straight, crossed = cos_v @ by_cos, sin_v @ by_sin
-    if even:
-        turned = np.float32(0)
-    else:
-        along, across = _turn(cos_v @ by_sin), _turn(sin_v @ by_cos)
+    by_cos, by_sin = np.empty((2, len(v), 2 * (half + 1)), np.float32)
+    middle = len(u) // 2
+    for part, turn in zip((slice(half + 1), slice(half + 1, None)), (np.cos, np.sin), strict=True):
+        values = turn(phase)
+        values *= weights
+        right, left = values[:, middle:], values[:, middle - 1 :: -1]
+        by_cos[:, part] = multiply(right + left, cos_u)
+        by_sin[:, part] = multiply(right - left, sin_u)
+    straight, crossed = multiply(cos_v, by_cos), multiply(sin_v, by_sin)
+    minus, plus = straight - crossed, straight + crossed
     energy = np.empty((2 * half + 1,) * 2, np.float32)
-    sides = ((1, slice(half, None)), (-1, slice(half, None, -1)))
-    for (y, down), (x, right) in product(sides, sides):
-        if not even:
-            turned = x * along + y * across
-        energy[down, right] = _squares(straight - x * y * crossed + turned)
+    below, above = slice(half, None), slice(half, None, -1)
+    if even:
+        energy[below, below] = energy[above, above] = _squares(minus)
+        energy[below, above] = energy[above, below] = _squares(plus)
+    else:
+        along, across = _turn(multiply(cos_v, by_sin)), _turn(multiply(sin_v, by_cos))
+        both, rest = along + across, along - across
+        energy[below, below], energy[above, above] = _squares(minus + both), _squares(minus - both)
+        energy[below, above], energy[above, below] = _squares(plus - rest), _squares(plus + rest)
     energy *= np.float32((4 if even else 1) * STEP**2 / (np.pi * pupil.area))
     return energy
 
 
-def _pair(values):
-    """Real and imaginary parts of complex64 numbers, side by side."""
-    return np.hstack([values.real, values.imag])
+@remember(2**26)
+def _grid(pupil, half, cycles, upper):
+    """Rows v, their even samples u, the samples' weights, and cosines and sines of all X >= 0 at u > 0 and at v.
+
+    upper: only rows v > 0: rows -v are the rows v from right to left.
+    """
+    count = 2 * int(np.ceil(FINE * cycles)) + ORDER
+    diagonal = cycles + (np.sqrt(2) - 1) * half * STEP
+    v, weights = rows_of(pupil, cycles, count, diagonal)
+    if upper:
+        v, weights = v[v > 0], weights[v > 0]
+    _, u = _places(count)
+    x = 2 * np.pi * STEP * np.arange(half + 1)
+    along, across = np.outer(u[count // 2 :], x), np.outer(x, v)
+    waves = (
+        turn(phase).astype(np.float32) for phase in (along, across) for turn in (np.cos, np.sin)
+    )
+    return v, u, weights, *waves
 
 
 def _turn(pair):
@@ -206,14 +239,7 @@ def _odd(wave):
     return wave * ((i + j) % 2)
 
 
-@lru_cache(maxsize=8)
-def _turns_across(pupil, half, cycles, count):
-    """Cosines and sines of the rows, (half + 1, rows), float32."""
-    phase = 2 * np.pi * np.outer(np.arange(half + 1) * STEP, rows_of(pupil, cycles, count)[0])
-    return np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32)
-
-
-@lru_cache(maxsize=64)
+@remember(2**25)
 def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
     """Return the share of each sample of the irradiance in each of `size` pixels, float32 (size, 2 half + 1).
 
@@ -229,14 +255,22 @@ def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
         shift: Displacement of the image [pixel].
     """
     pixels = np.arange(size) - size // 2.0 - shift
+    farthest = int(np.ceil(np.abs(pixels).max()))
+    f, by_cos, by_sin = _passed_waves(half, q, aperture, spot, soft, farthest)
+    to = 2 * np.pi * np.outer(pixels, f)
+    shares = multiply(np.cos(to).astype(np.float32), by_cos)
+    return shares + multiply(np.sin(to).astype(np.float32), by_sin)
+
+
+@remember(2**25)
+def _passed_waves(half, q, aperture, spot, soft, farthest):
+    """Frequencies (F,), and their cosines and sines at the samples times the pixel's transfer, float32 (F, samples)."""
     samples = np.arange(-half, half + 1) * (2 * q * STEP)
-    longest = abs(samples[0]) + np.abs(pixels).max()
-    x, gauss = roots_legendre(int(np.ceil(1.7 * longest / q)) + 16)
+    x, gauss = _gauss(int(np.ceil(1.7 * (abs(samples[0]) + farthest) / q)) + 16)
     f, gauss = (x + 1) / (2 * q), gauss / (2 * q)
-    response = 2 * gauss * _axis_transfer(f, aperture, spot, soft)
-    to, of = 2 * np.pi * np.outer(pixels, f), 2 * np.pi * np.outer(f, samples)
-    shares = (np.cos(to) * response).astype(np.float32) @ np.cos(of).astype(np.float32)
-    return shares + (np.sin(to) * response).astype(np.float32) @ np.sin(of).astype(np.float32)
+    passed = (2 * gauss * _axis_transfer(f, aperture, spot, soft))[:, None]
+    of = 2 * np.pi * np.outer(f, samples)
+    return f, (np.cos(of) * passed).astype(np.float32), (np.sin(of) * passed).astype(np.float32)
 
 
 def _axis_transfer(f, aperture, spot, soft):
@@ -278,7 +312,7 @@ def sampled_kernel(
     if q < 1:  # apertures with gaps share all light
         all_down, all_across = (_all_shares(half, *axis) for axis in axes)
         whole += all_down @ energy @ all_across - energy.sum(dtype=np.float64)
-    return (down @ (energy @ across.T)) / whole
+    return multiply(down, multiply(energy, across.T)) / whole
 
 
 def _axes(q, shift, aperture, spots, soft):
@@ -325,6 +359,7 @@ def _difference(pupil, wave, half, focus, fading):
     return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
 
 
+@stored
 def difference_tables(
     pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift
 ) -> np.ndarray:
@@ -352,10 +387,10 @@ def difference_tables(
         if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
             down = _fold(np.fft.fftfreq(rows), half, *first)
             across = _fold(np.arange(cols // 2 + 1) / cols, half, *second)
-            out[band] = (down @ left.astype(np.complex64)) @ across.T
+            out[band] = multiply(multiply(down, left.astype(np.complex64)), across.T)
         else:
             down, across = (pixel_shares(size, half, *axis) for axis in (first, second))
-            out[band] = _wrap(down @ (left @ across.T), rows, cols)
+            out[band] = _wrap(multiply(down, multiply(left, across.T)), rows, cols)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))

@@ -17,6 +17,7 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.rays import AFFORDABLE
 from gpusim.optics.tables import add_spectra, exact_tables, transfer_tables
 from gpusim.planner.choices import Blur, Fusion
 from gpusim.planner.knobs.farfield import FarField
@@ -31,6 +32,7 @@ class _OnDevice:
     """Makes transfer tables on a device: see `gpusim.optics.lens.Stages`."""
 
     whole = True
+    affordable = AFFORDABLE
 
     def __init__(self, device):
         self._device = device
