@@ -24,6 +24,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.optics.edges import MOST_LAYERS, Edges
+from gpusim.optics.mixed import Mixed, find_mixed
 from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
 
 MOST_KERNELS = 64
@@ -78,6 +79,7 @@ class DepthPlan:
         occlusion: Places between layers at which light is summed over the pupil; None: there are
             none.
         bounds: Errors that are located, as far as they are known without probes.
+        mixed: Samples of a picture that show two layers; None: it has one layer.
     """
 
     distances: np.ndarray
@@ -91,6 +93,7 @@ class DepthPlan:
     groups: tuple[int, ...] = ()
     occlusion: Occlusion | None = None
     bounds: dict[str, Bound] = field(default_factory=dict)
+    mixed: Mixed | None = None
 
     @property
     def reach(self) -> float:
@@ -101,7 +104,7 @@ class DepthPlan:
         """Return the content of a layer, its coverage and its circles of confusion, both of shape (rows, cols).
 
         One picture does not show the surfaces behind a nearer layer: there the nearest pixel that
-        is not of a nearer layer continues. So the farthest layer covers everything; another one
+        shows nothing of a nearer layer continues. So the farthest layer covers everything; another one
         ends behind a nearer one where a farther one is closer. A layer that the scene gives is
         returned unchanged.
 
@@ -114,14 +117,69 @@ class DepthPlan:
         shown = self._shown(layer)
         if shown is None:
             return content, self.layer == layer, self.confusion
-        return content.take(*shown), self.layer[shown] == layer, self.confusion[shown]
+        rows, cols = np.unravel_index(shown, self.layer.shape)
+        return content.take(rows, cols), self._cover(layer), self.confusion[rows, cols]
+
+    def beside(self, layer: int, content):
+        """Return the light to take away from a layer of a picture, of samples that show other surfaces too.
+
+        A layer's light is (1 + f) of that of `sheet` minus f of this content.
+
+        Returns:
+            The content and f, float32 (rows, cols); None: there are no such samples.
+        """
+        other, factor = self._beside(layer)
+        if not factor.any():
+            return None
+        return content.take(*np.unravel_index(other, self.layer.shape)), factor
+
+    def _beside(self, layer):
+        """Index of the sample whose light is taken away at each sample, and how often."""
+        other, factor = np.zeros(self.layer.shape, int), np.zeros(self.layer.shape, np.float32)
+        for at, share, _, away in self._sides(layer):
+            other.flat[at] = away
+            is_own = self.layer.ravel()[at] == layer
+            factor.flat[at] = np.where(is_own, (1 - share) / np.maximum(share, 0.5), 0)
+        return other, factor
+
+    def _sides(self, layer):
+        """Yield the mixed samples of a layer, its part of their light, and a sample of its own and of the other."""
+        one, layers = self.mixed, self.layer.ravel()
+        if one is None:
+            return
+        front = layers[one.front] == layer
+        yield one.at[front], one.share[front], one.front[front], one.back[front]
+        back = layers[one.back] == layer
+        yield one.at[back], 1 - one.share[back], one.back[back], one.front[back]
+
+    def _places(self, layer):
+        """Index of the sample that goes on at each sample, (rows, cols): its own, or the nearest behind others."""
+        nearer = self.layer < layer
+        whole = np.arange(nearer.size).reshape(nearer.shape)
+        if not nearer.any():
+            return whole
+        hidden = nearer.copy()
+        if self.mixed is not None:  # no sample that shows nearer layers too goes on
+            hidden.flat[self.mixed.at[self.layer.ravel()[self.mixed.front] < layer]] = True
+        at = nearest(nearer if hidden.all() else hidden)
+        return np.where(nearer, np.ravel_multi_index(tuple(at), nearer.shape), whole)
+
+    def _cover(self, layer):
+        """Part of each sample that a layer covers, (rows, cols)."""
+        cover = (self.layer == layer).astype(np.float32)
+        if self.mixed is not None:
+            front = self.layer.ravel()[self.mixed.front] == layer
+            cover.flat[self.mixed.at[front]] = self.mixed.share[front]
+        return cover.ravel()[self._places(layer)]
 
     def _shown(self, layer):
-        """Rows and columns of the pixels that a layer of a picture shows, (2, rows, cols); None: each its own."""
-        nearer = self.layer < layer
-        if not nearer.any():
+        """Index of the sample whose light and distance a layer of a picture shows, (rows, cols); None: each its own."""
+        if self.mixed is None and not (self.layer < layer).any():
             return None
-        return tuple(nearest(nearer))
+        shown = self._places(layer)
+        for at, _, own, _ in self._sides(layer):
+            shown.flat[at] = np.where(self.layer.ravel()[at] == layer, at, own)
+        return shown
 
     def in_brightness(self, brightness: Callable) -> list[Sheet]:
         """Return the groups of layers in brightness, with radii that go on where nothing is covered.
@@ -146,9 +204,16 @@ class DepthPlan:
             content, alpha, confusion = self.sheets[layer]
             light, guessed = brightness(content), None
         else:
-            light, shown, guessed = brightness(None), self._shown(layer), self.layer < layer
-            at = np.s_[:] if shown is None else shown
-            light, alpha, confusion = light[at], self.layer[at] == layer, self.confusion[at]
+            light, guessed = brightness(None), self.layer < layer
+            shown = self._shown(layer)
+            alpha, confusion = self.layer == layer, self.confusion
+            if shown is not None:
+                alpha, confusion = self._cover(layer), confusion.ravel()[shown]
+                other, factor = self._beside(layer)
+                light = (1 + factor) * light.ravel()[shown] - factor * light.ravel()[other]
+                if self.mixed is not None:  # or they show one surface, of a picture of points
+                    back = self.layer.ravel()[self.mixed.back] == layer
+                    guessed.flat[self.mixed.at[back]] = True
         alpha = np.asarray(alpha, np.float64)
         if not alpha.any():
             confusion = np.zeros_like(confusion)
@@ -301,7 +366,10 @@ def plan_depth(
         predicted["depth, occlusion left out"] = plain
         predicted["depth, if in layers"] = in_layers
     groups = tuple(range(count))
-    return DepthPlan(distances, nodes, confusion, layer, count, model, predicted, (), groups)
+    mixed = find_mixed(layer, confusion, light) if count > 1 else None
+    return DepthPlan(
+        distances, nodes, confusion, layer, count, model, predicted, (), groups, mixed=mixed
+    )
 
 
 def _sheets(scene, optics, pitch):

@@ -47,6 +47,13 @@ def composite_layers(
         own = planes_
         if content is not plan.content:
             own = planes(device, table, store(device, content))
+        if (more := depth.beside(layer, plan.content)) is not None:
+            away, factor = (planes(device, table, store(device, more[0])), more[1][None])
+            terms = (
+                (1, falloff(own, 1 + factor, device=device)),
+                (-1, falloff(away, factor, device=device)),
+            )
+            own = _mix(terms, device)
         if placing is not None:
             placing.limit(seen, own)
         for kernel, share in depth.shares(coverage, confusion):

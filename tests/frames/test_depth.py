@@ -128,6 +128,9 @@ def executed(made, light):
         content = Cube(np.array([500.0, 600.0]), rows.astype(float))  # tells which pixel goes where
         moved, coverage, confusion = made.sheet(layer, content)
         own = light[tuple(moved.values.astype(int))]
+        if (beside := made.beside(layer, content)) is not None:
+            away, factor = beside
+            own = (1 + factor) * own - factor * light[tuple(away.values.astype(int))]
         for kernel, share in made.shares(coverage, confusion):
             lights.append(spread(own * share, made.kernels[kernel]))
             alphas.append(spread(share, made.kernels[kernel]))
