@@ -11,7 +11,7 @@ placed where they remove the most predicted error.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy
@@ -24,6 +24,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.optics.edges import MOST_LAYERS, Edges
+from gpusim.optics.mixed import Mixed, find_mixed
 from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
 
 MOST_KERNELS = 64
@@ -79,6 +80,7 @@ class DepthPlan:
         occlusion: Places between layers at which light is summed over the pupil; None: there are
             none.
         bounds: Errors that are located, as far as they are known without probes.
+        mixed: Samples of a picture that show two layers; None: it has one layer.
     """
 
     distances: np.ndarray
@@ -92,47 +94,103 @@ class DepthPlan:
     groups: tuple[int, ...] = ()
     occlusion: Occlusion | None = None
     bounds: dict[str, Bound] = field(default_factory=dict)
+    mixed: Mixed | None = None
+
+    @cached_property
+    def _found(self) -> dict[int, np.ndarray]:
+        """Results of `_places`."""
+        return {}
 
     @property
     def reach(self) -> float:
         """Radius of the largest circle of confusion [pixel]."""
         return float(np.abs(self.kernels).max() / 2)
 
-    def sheet(self, layer: int, content):
-        """Return the content of a layer, its coverage and its circles of confusion, both of shape (rows, cols).
+    def surfaces(self):
+        """Yield the coverage and the circles of confusion of each layer, see `surface`."""
+        for layer in range(self.layers):
+            yield self.surface(layer)
+
+    def surface(self, layer: int):
+        """Return the coverage and the circles of confusion of a layer, both of shape (rows, cols).
 
         One picture does not show the surfaces behind a nearer layer: there the nearest pixel that
-        is not of a nearer layer continues. So the farthest layer covers everything; another one
+        shows nothing of a nearer layer continues. So the farthest layer covers everything; another one
         ends behind a nearer one where a farther one is closer. A layer that the scene gives is
         returned unchanged.
-
-        Args:
-            layer: Number of the layer.
-            content: The picture's content.
         """
         if self.sheets:
-            return self.sheets[layer]
-        shown = self._shown(layer)
-        return content if shown is None else content.take(*shown), *self._surface(layer, shown)
-
-    def surfaces(self):
-        """Yield the coverage and the circles of confusion of each layer, see `sheet`."""
-        for layer in range(self.layers):
-            yield (
-                self.sheets[layer][1:] if self.sheets else self._surface(layer, self._shown(layer))
-            )
-
-    def _surface(self, layer, shown):
+            return self.sheets[layer][1:]
+        shown = self.shown(layer)
         if shown is None:
             return self.layer == layer, self.confusion
-        return self.layer[shown] == layer, self.confusion[shown]
+        return self._cover(layer), self.confusion.ravel()[shown]
 
-    def _shown(self, layer):
-        """Rows and columns of the pixels that a layer of a picture shows, (2, rows, cols); None: each its own."""
-        nearer = self.layer < layer
-        if not nearer.any():
+    def beside(self, layer: int):
+        """Return the light to take away from a layer of a picture, of samples that show other surfaces too.
+
+        A layer's light is (1 + f) of that of the samples `shown` minus f of other samples.
+
+        Returns:
+            Index of the other samples, and f, float32, both (rows, cols); None: there are none.
+        """
+        if self.sheets:
             return None
-        return tuple(nearest(nearer))
+        other, factor = self._beside(layer)
+        return (other, factor) if factor.any() else None
+
+    def _beside(self, layer):
+        """Index of the sample whose light is taken away at each sample, and how often."""
+        other, factor = np.zeros(self.layer.shape, int), np.zeros(self.layer.shape, np.float32)
+        for at, share, _, away in self._sides(layer):
+            other.flat[at] = away
+            is_own = self.layer.ravel()[at] == layer
+            factor.flat[at] = np.where(is_own, (1 - share) / np.maximum(share, 0.5), 0)
+        return other, factor
+
+    def _sides(self, layer):
+        """Yield the mixed samples of a layer, its part of their light, and a sample of its own and of the other."""
+        one, layers = self.mixed, self.layer.ravel()
+        if one is None:
+            return
+        front = layers[one.front] == layer
+        yield one.at[front], one.share[front], one.front[front], one.back[front]
+        back = layers[one.back] == layer
+        yield one.at[back], 1 - one.share[back], one.back[back], one.front[back]
+
+    def _places(self, layer):
+        """Index of the sample that goes on at each sample, (rows, cols): its own, or the nearest behind others."""
+        if layer not in self._found:
+            self._found[layer] = self._find_places(layer)
+        return self._found[layer]
+
+    def _find_places(self, layer):
+        nearer = self.layer < layer
+        whole = np.arange(nearer.size).reshape(nearer.shape)
+        if not nearer.any():
+            return whole
+        hidden = nearer.copy()
+        if self.mixed is not None:  # no sample that shows nearer layers too goes on
+            hidden.flat[self.mixed.at[self.layer.ravel()[self.mixed.front] < layer]] = True
+        at = nearest(nearer if hidden.all() else hidden)
+        return np.where(nearer, np.ravel_multi_index(tuple(at), nearer.shape), whole)
+
+    def _cover(self, layer):
+        """Part of each sample that a layer covers, (rows, cols)."""
+        cover = (self.layer == layer).astype(np.float32)
+        if self.mixed is not None:
+            front = self.layer.ravel()[self.mixed.front] == layer
+            cover.flat[self.mixed.at[front]] = self.mixed.share[front]
+        return cover.ravel()[self._places(layer)]
+
+    def shown(self, layer: int):
+        """Index of the sample whose light and distance a layer of a picture shows, (rows, cols); None: each its own."""
+        if self.mixed is None and not (self.layer < layer).any():
+            return None
+        shown = self._places(layer).copy()
+        for at, _, own, _ in self._sides(layer):
+            shown.flat[at] = np.where(self.layer.ravel()[at] == layer, at, own)
+        return shown
 
     def in_brightness(self, brightness: Callable) -> list[Sheet]:
         """Return the groups of layers in brightness, with radii that go on where nothing is covered.
@@ -157,9 +215,16 @@ class DepthPlan:
             content, alpha, confusion = self.sheets[layer]
             light, guessed = brightness(content), None
         else:
-            light, shown, guessed = brightness(None), self._shown(layer), self.layer < layer
-            at = np.s_[:] if shown is None else shown
-            light, alpha, confusion = light[at], self.layer[at] == layer, self.confusion[at]
+            light, guessed = brightness(None), self.layer < layer
+            shown = self.shown(layer)
+            alpha, confusion = self.layer == layer, self.confusion
+            if shown is not None:
+                alpha, confusion = self._cover(layer), confusion.ravel()[shown]
+                other, factor = self._beside(layer)
+                light = (1 + factor) * light.ravel()[shown] - factor * light.ravel()[other]
+                if self.mixed is not None:  # or they show one surface, of a picture of points
+                    back = self.layer.ravel()[self.mixed.back] == layer
+                    guessed.flat[self.mixed.at[back]] = True
         alpha = np.asarray(alpha, np.float64)
         if not alpha.any():
             confusion = np.zeros_like(confusion)
@@ -170,9 +235,20 @@ class DepthPlan:
 
 def nearest(missing: np.ndarray) -> np.ndarray:
     """Return rows and columns of the nearest pixel that is not missing, int (2, rows, cols)."""
-    return scipy.ndimage.distance_transform_edt(
-        missing, return_distances=False, return_indices=True
-    )
+    found = np.indices(missing.shape)
+    if missing.any():
+        # the nearest one is within the pixels next to the box of those that are missing
+        box = tuple(
+            slice(max(some[0] - 1, 0), some[-1] + 2)
+            for some in (np.flatnonzero(missing.any(axis=1 - axis)) for axis in (0, 1))
+        )
+        found[:, *box] = (
+            scipy.ndimage.distance_transform_edt(
+                missing[box], return_distances=False, return_indices=True
+            )
+            + np.array([box[0].start, box[1].start])[:, None, None]
+        )
+    return found
 
 
 def flatten(scene: Scene):
@@ -302,7 +378,10 @@ def plan_depth(
         predicted["depth, occlusion left out"] = plain
         predicted["depth, if in layers"] = in_layers
     groups = tuple(range(count))
-    return DepthPlan(distances, nodes, confusion, layer, count, model, predicted, (), groups)
+    mixed = find_mixed(layer, confusion, light) if count > 1 else None
+    return DepthPlan(
+        distances, nodes, confusion, layer, count, model, predicted, (), groups, mixed=mixed
+    )
 
 
 def _mixed_error(confusion, contrast, q, curvature, layer=None):

@@ -242,7 +242,7 @@ def _probes(shape):
 
 
 def _eigen_kernels(kernels):
-    """Return a basis of kernels (n, planes, m, m), the kernels' coefficients (n, K), and what is left by 1 .. K of it."""
+    """Return a basis of kernels (n, planes, m, m), their coefficients (n, K), and errors by 1 .. K of it."""
     gram = np.zeros((len(kernels), len(kernels)))
     for plane in range(kernels.shape[1]):
         spectra = weigh(kernels[:, plane]).reshape(len(kernels), -1)

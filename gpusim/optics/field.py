@@ -417,7 +417,7 @@ def image_error(kernels, wanted, groups: int = 1) -> tuple[float, float]:
 
 
 def error_scale(size: int) -> float:
-    """Return the relative RMS error of a natural scene for a difference of kernels (m, m) whose `weigh` has length 1."""
+    """Return the relative RMS error of a natural scene by a difference of kernels whose `weigh` has length 1."""
     # of a point: only the weight
     scene = np.square(weigh(np.ones((1, 1)), size)).sum()
     return float(CONTRAST / np.sqrt((1 + CONTRAST**2) * scene))

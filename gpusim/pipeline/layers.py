@@ -48,15 +48,18 @@ def composite_layers(
         seen = planes_ if picture is None else planes(device, table, store(device, picture))
     alphas, blurred, sharp = [], [], []
     for layer in range(depth.layers):
-        content, coverage, confusion = depth.sheet(layer, plan.content)
+        coverage, confusion = depth.surface(layer)
         own = planes_
-        if content is not plan.content:
+        if depth.sheets and (content := depth.sheets[layer][0]) is not plan.content:
             own = planes(device, table, store(device, content))
+        elif not depth.sheets and (shown := depth.shown(layer)) is not None:
+            own = _gather(planes_, shown, depth.beside(layer), device)
+        if placing is not None:
+            placing.limit(seen, own)
         cover, light = device.array(np.asarray(coverage, np.float32)[None]), own
         if not np.all(coverage == 1):
             light = falloff(own, cover, device=device)
         if placing is not None:
-            placing.limit(seen, own)
             light, cover, confusion = placing.place(light, coverage, confusion)
             coverage = device.numpy(cover)[0]
         terms = expand(space, confusion, coverage)
@@ -89,6 +92,17 @@ def composite_layers(
         return composed
     groups = _Groups(blurred, alphas, sharp, list(depth.groups), plan, border, device)
     return groups.occlude(groups.diffract(composed, tables), tables)
+
+
+def _gather(planes_, shown, beside, device):
+    """Return planes of the samples of an index (rows, cols), less the light of others: see `DepthPlan.beside`."""
+    values = np.asarray(device.numpy(planes_)).reshape(len(planes_), -1)
+    own = values[:, shown]
+    if beside is not None:
+        other, factor = beside
+        some = factor != 0
+        own[:, some] += factor[some] * (own[:, some] - values[:, other[some]])
+    return device.array(own)
 
 
 def _cut(gains, margin):

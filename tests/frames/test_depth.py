@@ -128,12 +128,14 @@ def shares(made, coverage, confusion):
 
 def executed(made, light):
     """A picture blurred as a DepthPlan says, by even discs, float64, and summed over the pupil between layers."""
-    rows = np.indices(light.shape)
     lights, alphas, layers = [], [], []
     for layer in range(made.layers):
-        content = Cube(np.array([500.0, 600.0]), rows.astype(float))  # tells which pixel goes where
-        moved, coverage, confusion = made.sheet(layer, content)
-        own = light[tuple(moved.values.astype(int))]
+        coverage, confusion = made.surface(layer)
+        shown = made.shown(layer)
+        own = light if shown is None else light.ravel()[shown]
+        if (beside := made.beside(layer)) is not None:
+            away, factor = beside
+            own = (1 + factor) * own - factor * light.ravel()[away]
         for kernel, share in enumerate(shares(made, coverage, confusion)):
             lights.append(spread(own * share, made.kernels[kernel]))
             alphas.append(spread(share, made.kernels[kernel]))

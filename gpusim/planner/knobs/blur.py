@@ -43,6 +43,7 @@ FIELDS = ("light", "alpha", "radius")
 NEAR_FRAME = 4  # [sample] beyond a blur's reach
 LEFT = 0.15  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
+MIXED = "depth, samples that may show one surface or two"
 NEAR = 4.0  # [sample] over which noise is taken from the light
 OTHERS = "depth, if "  # begins the names of errors of alternatives
 
@@ -234,7 +235,17 @@ def _with_occlusion(question, depth, probes, placed, notes):
         rms = depth.predicted.pop(HIDDEN)
         bound = _located(question, hidden_light(sheets), picture, known)
         bounds[HIDDEN] = replace(bound, rms=rms)
+    if depth.mixed is not None and len(depth.mixed.at):
+        bounds[MIXED] = _located(question, _doubt_of(depth, picture), picture, known)
     return replace(depth, occlusion=found, bounds=bounds)
+
+
+def _doubt_of(depth, picture):
+    """Return the light that samples have of another distance if they show one surface only, (rows, cols)."""
+    mixed, error = depth.mixed, np.zeros(picture.shape)
+    error.flat[mixed.at] = mixed.doubt(picture)
+    sides = depth.confusion.ravel()[np.stack([mixed.front, mixed.back])]
+    return gaussian_filter(error, float(np.abs(sides).min()) / 4)
 
 
 def _left_of(question, sheets):
