@@ -1,13 +1,14 @@
 """Blur that follows distance and field: in each tile, powers of both times sums of eigen-kernels.
 
-The kernels of a lens at all places and distances lie near a space of few dimensions. A `KernelSpace` has a
-basis of it, and the coefficients at a grid of places and circles of confusion. A frame is cut into
-tiles. In each, `expand` gives the kernel of every pixel as a sum of few terms, Chebyshev's polynomials
-of the place in the tile, and of the pixel's circle of confusion among those in the tile. A term's kernel is a sum of eigen-kernels. So the cost of a tile depends on
-how much its kernels differ, and not on those of the frame. All of it is for the stage `optics.field`.
+The kernels of a lens at all places and distances lie near a space of few dimensions. A `KernelSpace`
+has a basis of it, and the coefficients at a grid of places and circles of confusion. A frame is cut
+into tiles. In each, `expand` gives the kernel of every pixel as a sum of few terms: Chebyshev's
+polynomials of the place in the tile, and of the pixel's circle of confusion among those in the tile.
+A term's kernel is a sum of eigen-kernels. So the cost of a tile depends on how much its kernels
+differ, and not on those of the frame. The stage `optics.field` sums all this.
 
-The kernels are differences from one kernel, of the axis and of one distance, with sums of 0. It holds the
-part that reaches far, and blurs the whole frame.
+The kernels are differences from one kernel, of the axis and of one distance, with sums of 0. It holds
+the part that reaches far, and blurs the whole frame.
 """
 
 from dataclasses import dataclass
@@ -78,8 +79,8 @@ class KernelSpace:
         m = self.kernels.shape[-1]
         return (
             f"expansions by place and distance of {len(self.kernels)} eigen-kernels of {m} x {m} samples in "
-            f"{self.values.shape[1]} tiles: image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, "
-            f"{self.flat:.1e} in flat fields"
+            f"{self.values.shape[1]} tiles: image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst "
+            f"place, {self.flat:.1e} in flat fields"
         )
 
     @property
@@ -322,7 +323,7 @@ def _tiles(shape, m, largest):
                 continue
             period = fft_length(int(np.diff(edges).max()) + m - 1)
             # transforms, and the sums of kernels, which miss the caches if they are large
-            cost = count * period * (np.log2(max(period, 2)) + 8 + period / 16)
+            cost = count * period * (np.log2(max(period, 2)) + 8 + period / 64)
             if best is None or cost < best[0]:
                 best = cost, edges
         found.append(best[1])

@@ -35,6 +35,7 @@ from gpusim.optics.lengths import fft_length
 
 # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
 BATCH_BYTES = 2**22
+HOST_BATCH = 2**25  # [byte] of kernels' tables at once on a CPU
 HOST_TILES = 16  # from here on, a CPU has a thread to each tile
 BIN = 32  # [pixel] highlights are listed per square of this side
 NEVER = float(np.finfo(np.float32).max)
@@ -243,7 +244,7 @@ def _on_host(
         by_kernel = tables.reshape(len(tables), -1).view(np.float32)
 
     def blur(job):
-        at, t, used = job
+        at, t, used, chosen = job
         i, j = divmod(t, len(edges[1]) - 1)
         y, x = (np.arange(edge[k], edge[k + 1]) for edge, k in zip(edges, (i, j), strict=True))
         if not len(y) or not len(x):
@@ -259,11 +260,6 @@ def _on_host(
             place = np.ix_(from_y, from_x)
             weight_place = np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1))
         weights = coefficients[:, *weight_place][used]
-        if index.ndim == 2:
-            chosen = [tables[kernel] for kernel in index[t]]
-        else:
-            chosen = (index[t, used] @ by_kernel).view(np.complex64)
-            chosen = chosen.reshape(len(used), own, period[0], half)
         weighted = np.empty((len(used), *period), np.float32)
         weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
         sums = np.zeros((len(mix), period[0], half), np.complex64)
@@ -283,11 +279,21 @@ def _on_host(
                     total += weight * passed
         out[:, at] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
-    members = [(t, terms) for terms, own_tiles in groups for t in own_tiles]
-    jobs = [(at, *member) for at, member in enumerate(members)]
+    first = 0
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for _ in pool.map(blur, jobs):  # raises the threads' errors
-            pass
+        for used, members in groups:
+            batch = max(HOST_BATCH // (len(used) * tables[0].nbytes), 1)
+            for some in np.split(members, range(batch, len(members), batch)):
+                if index.ndim == 2:
+                    chosen = [[tables[kernel] for kernel in index[t]] for t in some]
+                else:  # one product, with all threads
+                    weights = index[some][:, used].reshape(-1, len(tables))
+                    chosen = (weights @ by_kernel).view(np.complex64)
+                    chosen = chosen.reshape(len(some), len(used), *tables.shape[1:])
+                jobs = [(first + k, t, used, chosen[k]) for k, t in enumerate(some)]
+                for _ in pool.map(blur, jobs):  # raises the threads' errors
+                    pass
+                first += len(some)
     return padded
 
 

