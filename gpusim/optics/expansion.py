@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from gpusim.domain.stored import stored
 from gpusim.optics.depth import stencil
 from gpusim.optics.field import (
     Differences,
@@ -138,6 +139,53 @@ def make_space(
     """
     nodes = np.asarray(nodes, np.float64)
     reference = int(np.abs(nodes).argmin())
+    basis, down, across, powers, values, weights, even, even_slopes, rms, most, flat = _make_arrays(
+        lens,
+        np.asarray(wavelengths),
+        mix,
+        tuple(shape),
+        corner,
+        room,
+        limit,
+        np.asarray(distances),
+        reference,
+        covers,
+        np.asarray(levels),
+        flat_limit,
+    )
+    return KernelSpace(
+        basis,
+        nodes,
+        (down, across),
+        tuple(map(tuple, powers.tolist())),
+        values,
+        weights,
+        even,
+        even_slopes,
+        (rms, most),
+        flat,
+        limit / 2,
+        reference,
+    )
+
+
+@stored
+def _make_arrays(
+    lens,
+    wavelengths,
+    mix,
+    shape,
+    corner,
+    room,
+    limit,
+    distances,
+    reference,
+    covers,
+    levels,
+    flat_limit,
+):
+    """Return the arrays and numbers of a `KernelSpace`, see `make_space`."""
+    circles = len(distances)
     differences = Differences(
         lens, wavelengths, mix, shape, corner, room, tuple(distances), distances[reference]
     )
@@ -145,7 +193,7 @@ def make_space(
 
     def kernels_at(places):
         found = differences(places)
-        return found.reshape(len(places) * len(nodes), planes, m, m)
+        return found.reshape(len(places) * circles, planes, m, m)
 
     is_uniform = lens.is_uniform
     probes, wanted = np.empty((0, 2)), None
@@ -161,12 +209,12 @@ def make_space(
         found = kernels_at(places)
         basis, coefficients, left = _eigen_kernels(found)
         shading = _Shading(axes, moments_of(found), levels)
-        count = int(np.argmax(left <= limit / 2)) + 1 if (left <= limit / 2).any() else len(left)
-        uneven = shading.error(basis[:count], coefficients[:, :count])
-        while uneven > flat_limit / 2 and count < len(basis):
-            count += 1 + count // 8
-            uneven = shading.error(basis[:count], coefficients[:, :count])
-        basis, coefficients, left = basis[:count], coefficients[:, :count], float(left[:count][-1])
+        held = int(np.argmax(left <= limit / 2)) + 1 if (left <= limit / 2).any() else len(left)
+        uneven = shading.error(basis[:held], coefficients[:, :held])
+        while uneven > flat_limit / 2 and held < len(basis):
+            held += 1 + held // 8
+            uneven = shading.error(basis[:held], coefficients[:, :held])
+        basis, coefficients, left = basis[:held], coefficients[:, :held], float(left[:held][-1])
         coefficients = coefficients.reshape(len(places), -1)
         error = (left, left)
         if is_uniform:
@@ -183,9 +231,7 @@ def make_space(
     moments = moments_of(basis)  # (K, planes, 5)
     for degree, largest in _choices(shape, is_uniform):
         edges = _tiles(shape, m, largest)
-        powers, values, rest, jumps = _in_tiles(
-            edges, shape, axes, coefficients, len(nodes), degree
-        )
+        powers, values, rest, jumps = _in_tiles(edges, shape, axes, coefficients, circles, degree)
         left_out = float(np.sqrt((rest**2 @ weights).mean()))
         # light that moves or widens differently on both sides of an edge between tiles: a line, and two of half
         lines = 0.0
@@ -198,22 +244,11 @@ def make_space(
         if left_out <= limit / 2 and lines <= flat_limit / 2:
             break
     even, even_slopes = _flat_fields(
-        edges, shape, axes, coefficients, moments[:, planes - covers :], len(nodes)
+        edges, shape, axes, coefficients, moments[:, planes - covers :], circles
     )
-    return KernelSpace(
-        basis,
-        nodes,
-        edges,
-        powers,
-        values,
-        weights,
-        even,
-        even_slopes,
-        (float(np.hypot(error[0], left_out)), float(np.hypot(error[1], left_out))),
-        float(np.hypot(lines, uneven)),
-        limit / 2,
-        reference,
-    )
+    left = float(np.hypot(error[0], left_out)), float(np.hypot(error[1], left_out))
+    flat = float(np.hypot(lines, uneven))
+    return basis, *edges, np.array(powers), values, weights, even, even_slopes, *left, flat
 
 
 def _choices(shape, is_uniform):

@@ -24,7 +24,6 @@ from functools import cached_property, partial
 import numpy as np
 import scipy
 
-from gpusim.domain.digest import digest
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.optics.lengths import fft_length
 from gpusim.optics.lens import NODES, Lens, wavelength_nodes
@@ -44,8 +43,6 @@ MOST_TERMS = 40
 GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))
 
 Kernels = Callable[[np.ndarray], np.ndarray]
-MOST_STORED = 2**28  # [byte] of kernels
-_MADE: dict[tuple, np.ndarray] = {}  # kernels by lens, wavelengths, place, size and distance
 WIDEST_SHIFT = 12  # [pixel] of a wavelength's image at the frame's corner
 SIZES = (15, 23, 31, 41, 51, 63, 81, 101)  # of kernels [pixel]
 WIDER = ((127, 159, 201), (255, 319, 401), (511, 639, 801))  # of those that are wider
@@ -539,7 +536,6 @@ class Differences:
     ):
         self.lens, self.shape, self.corner = lens, shape, corner
         self.distances, self.reference = tuple(distances), reference
-        self._lens = digest(lens)
         self.middle = (np.array(shape) - 1) / 2 + lens.axis
         count = FEW_NODES if error > COARSE else NODES
         self.nodes, between = wavelength_nodes(wavelengths, count)
@@ -566,21 +562,10 @@ class Differences:
     def _at(self, place):
         found = []
         for distance in self.distances:
-            kernels = self._kernels(place, distance)
+            kernels = self.lens.kernels(self.nodes, place, self.size, distance)
             differences = self._whole(_with_zero_sum(kernels - self._axis), place, distance)
             found.append(np.tensordot(self.mix, differences, 1))
         return np.concatenate(found)
-
-    def _kernels(self, place, distance):
-        """Kernels of the wavelengths at a place and distance, stored for the next scene."""
-        key = (self._lens, self.nodes.tobytes(), place, self.size, distance)
-        found = _MADE.get(key)
-        if found is None:
-            found = self.lens.kernels(self.nodes, place, self.size, distance)
-            _MADE[key] = found
-            while sum(one.nbytes for one in list(_MADE.values())) > MOST_STORED:
-                _MADE.pop(next(iter(_MADE)), None)
-        return found
 
     def _whole(self, differences, place, distance):
         """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
