@@ -12,7 +12,7 @@ from gpusim.captures.merge import _display_noise, merge_bracket, merge_burst, me
 from gpusim.data.lights import illuminant
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
-from gpusim.kernels.processor.align import TILE, align
+from gpusim.kernels.processor.align import align
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import merge
