@@ -13,7 +13,7 @@ import numpy as np
 import scipy.fft
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.special import j0
+from scipy.special import j0, j1
 
 RAYS, STEP, ENDS = (
     240,
@@ -55,8 +55,11 @@ class Spread:
         return np.stack([np.sin(angles), np.cos(angles)], axis=1)
 
 
-def round_spread(of: Spread, reach: float):
-    """Return energy per square sample at a distance: Born and Wolf, 8.5 and 8.8; tabulated."""
+def round_spread(of: Spread, reach: float, is_tilted=False):
+    """Return energy per square sample at a distance: Born and Wolf, 8.5 and 8.8; tabulated.
+
+    is_tilted: times the place in the pupil, along the distance: see `spreads` of `triple_pupils.py`.
+    """
     r = np.arange(0, np.sqrt(2) * reach + of.q, of.q / 32)
     phase = 2 * np.pi * (abs(of.w020) + abs(of.w040))
     t, mass = np.polynomial.legendre.leggauss(int(np.pi * r[-1] / of.q / 2 + 2 * phase + 40))
@@ -67,7 +70,16 @@ def round_spread(of: Spread, reach: float):
     field = np.concatenate(
         [j0(np.pi / of.q * np.outer(part, rho)) @ pupil for part in np.array_split(r, 64)]
     )
-    return CubicSpline(r, np.pi / of.q**2 * np.abs(field) ** 2 / (1 - of.hole**2))
+    energy = np.abs(field) ** 2
+    if is_tilted:  # the gradient of the field is i pi / q times its integral with the place
+        slope = np.concatenate(
+            [
+                j1(np.pi / of.q * np.outer(part, rho)) @ (rho * pupil)
+                for part in np.array_split(r, 64)
+            ]
+        )
+        energy = -(field.conj() * slope).imag
+    return CubicSpline(r, np.pi / of.q**2 * energy / (1 - of.hole**2))
 
 
 def polygon_spread(of: Spread, at) -> np.ndarray:

@@ -129,11 +129,14 @@ def kernels(lens, wavelength, points, reach, width=None, tilt=None):
     )
     waves = [lens.waves(wavelength, *point) for point in points]
     front = optics.wavefront
-    if tilt is None and not (optics.pupil.blades or optics.varies or front.zernike):  # round
+    if not (optics.pupil.blades or optics.varies or front.zernike):  # round
         u, of = np.array([0.0, 0.5, 1.0]), waves[0]
         w040 = front.seidel[0] * front.reference / wavelength
         round_ = brute.Spread(q, float(of(u, 0 * u)[2] - w040), w040, optics.pupil.obscuration)
-        values = brute.round_spread(round_, reach + 4 + 2 / q)(np.hypot(at[:, None], at))
+        r = np.hypot(at[:, None], at)
+        values = brute.round_spread(round_, reach + 4 + 2 / q, tilt is not None)(r)
+        if tilt is not None:
+            values = values * (at if tilt else at[:, None]) / np.maximum(r, 1e-9)
         yield brute.apertured(values, fine, reach, width, phase, extra)
         return
     rule = chords(optics.pupil, np.abs(at).max() / (2 * q) + max(map(steepest, waves)))

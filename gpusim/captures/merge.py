@@ -9,7 +9,7 @@ from gpusim.captures.merged_frame import develop_merged, host_pictures
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.kernels.processor.align import align, checked_stack
+from gpusim.kernels.processor.align import TILE, align, checked_stack
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.flash import flash as with_flash
@@ -131,8 +131,8 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
 
     Args:
         simulator: simulator of the camera.
-        frames: two or more frames of one camera, size, exposure time and gain, as digital numbers,
-            at least 16 periods of the mosaic high and wide.
+        frames: two or more frames of one camera, size, exposure time and gain, as digital numbers.
+            Frames of less than 16 periods of the mosaic are aligned as one tile.
         reference: index of the frame that the others are aligned to.
 
     Returns:
@@ -167,7 +167,10 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
         layers = raw.reshape(count, -1, *shape[-2:]).swapaxes(0, 1)
         brightest = int(np.argmax([layer.mean() for layer in layers]))
         stacks = [device.array(np.ascontiguousarray(layer), np.uint16) for layer in layers]
-        displacement = align(stacks[brightest], reference=reference, period=period, device=device)
+        aligned = stacks[brightest]
+        if TILE > min(shape[-2] // period[0], shape[-1] // period[1]) > 0:
+            aligned = device.array(_fill_tile(layers[brightest], period), np.uint16)
+        displacement = align(aligned, reference=reference, period=period, device=device)
         means = [
             average(
                 stack,
@@ -203,6 +206,18 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
             "processor.average": f"{count} frames, moved onto frame {int(reference)}",
         },
     )
+
+
+def _fill_tile(layer, period):
+    """Return frames (n, rows, cols) in which the outermost periods repeat, up to one tile at least."""
+    places = []
+    for size, length in zip(layer.shape[-2:], period, strict=True):
+        whole = max(size // length, 1)
+        at = np.arange(max(size, TILE * length))
+        last = np.minimum(at // length, whole - 1) * length + at % length
+        places.append(np.where(at < size, at, last))
+    rows, cols = places
+    return np.ascontiguousarray(layer[:, rows[:, None], cols])
 
 
 def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:

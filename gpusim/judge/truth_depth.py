@@ -120,21 +120,26 @@ def sheets_of(camera, scene) -> list[Sheet]:
     circles = circles_of(optics, pitch, depth)
     place = np.digitize(circles, cuts(circles))
     for number in np.unique(place):
-        nearer, at = place < number, tuple(np.indices(place.shape))
-        if nearer.any():
-            at = scipy.ndimage.distance_transform_edt(
-                nearer, return_distances=False, return_indices=True
-            )
-        rows, cols = at
+        rows, cols = _nearest(place < number)
         found.append((light[:, rows, cols], place[rows, cols] == number, depth[rows, cols]))
     return [
         Sheet(
             placed_light(camera, scene, own * cover),
             placed_light(camera, scene, cover[None] * 1.0, is_flux=False)[0],
-            placed_nearest(camera, scene, distances),
+            placed_nearest(camera, scene, distances[_nearest(cover == 0)]),
         )
         for own, cover, distances in found
     ]
+
+
+def _nearest(missing):
+    """Return the indices of the nearest sample that is not missing, for each sample."""
+    if not missing.any() or missing.all():
+        return tuple(np.indices(missing.shape))
+    found = scipy.ndimage.distance_transform_edt(
+        missing, return_distances=False, return_indices=True
+    )
+    return tuple(found)
 
 
 def circles_of(optics: Optics, pitch: float, depth) -> np.ndarray:

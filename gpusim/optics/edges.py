@@ -67,11 +67,11 @@ class Edges:
         A pixel sees the surface at y = x + r(y) u, u even in the pupil. In terms of y its kernel is
         the point's kernel times 1 - u grad r, which moves the picture by r |grad r| / 4 (E[u_x^2] =
         1/4). A disc of radius r leaves about 0.75 / r of the gradients of a 1/f picture, and of any
-        picture about the difference at 1.5 r over that distance.
+        picture about the difference at 2 r over that distance.
         """
         some = ~self.jumps
         steep, radius = (self.far - self.near)[some] / 8, np.abs(self.near[some]) / 2
-        lag = np.maximum(1.5 * radius, 1)
+        lag = np.maximum(2 * radius, 1)
         left = np.interp(lag, self.lags, self.variation) * (radius / lag) ** 2
         own = (self.light_near - self.light_far)[some] * np.minimum(radius, 0.75)
         square = steep**2 * np.maximum(own**2, left)
