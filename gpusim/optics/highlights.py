@@ -12,14 +12,16 @@ that are integrated exactly, at the point's place in the field, and beyond them 
 rim of its pupil spreads (`lens_kernels`, `gpusim.optics.points`). Measured spreads end.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
 from scipy.special import j1
 
 from gpusim.domain.content import Content
+from gpusim.domain.optics import Optics
 from gpusim.optics import points
+from gpusim.optics.depth import circle_of_confusion
 from gpusim.optics.lens import Lens
 
 THRESHOLD = 100.0  # times the median
@@ -36,7 +38,7 @@ LEAST_RINGS, LEAST_RAYS, MOST_WAVES = 12.0, 1.5, 2e8
 MOST_SPOTS = 32  # places in the field that have kernels of their own
 FINER = 2.0  # parts of a pixel to a diffraction ring at least, 8 parts at most
 PROBED = 12  # rows and columns at which the light beyond a core is compared with exact light
-ON_AXIS = np.zeros((1, 4))
+ON_AXIS = np.zeros((1, 5))
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +49,11 @@ class Highlights:
     of the spectra, int (N,). strength: times that spectrum, (N,). spectra: (K, L). reach: farthest pixel each adds to
     [pixel], int (N,). residue: local error, over the median, from bright pixels beyond the MOST that stayed in the
     planes. missing: what mirror images beyond the reach would give to every pixel, in the unit of brightness. spot:
-    which of the spots, int (N,). spots: field point (y, x) and the image's displacement from the pixel (rows, cols)
-    [pixel] for which there are kernels, (P, 4). core: half side of the kernels that are exact [pixel].
+    which of the spots, int (N,). spots: field point (y, x), the image's displacement from the pixel (rows, cols)
+    [pixel] and the distance (0: in focus) [m] for which there are kernels, (P, 5). core: half side of the kernels that
+    are exact [pixel]. source: the scene's sample of each, counted as places, int (N, 2); None: its place. cover: which
+    of the covers, int (N,), or -1; None: nothing is before them. covers: part of a core that is seen past what is
+    before the point, (V, n, n), and beyond the core.
     """
 
     places: np.ndarray
@@ -61,6 +66,14 @@ class Highlights:
     spot: np.ndarray
     spots: np.ndarray
     core: int = CORE
+    source: np.ndarray | None = None
+    cover: np.ndarray | None = None
+    covers: tuple[np.ndarray, np.ndarray] | None = None
+
+    @property
+    def distances(self) -> list[float]:
+        """Distances of the spots, each once; 0: in focus [m]."""
+        return np.unique(self.spots[:, 4]).tolist()
 
 
 def unsplit_error(brightness) -> float:
@@ -188,7 +201,7 @@ class PointKernels:
     cores: at whole pixels (dy, dx), shape (P, L, n, n): from -n // 2 on, or of an Airy pattern from 0 on. profiles: at
     radii 0, step, 2 step ... [pixel], shape (L, m), averaged over a part of a pixel in the mean over all directions: a
     mean of the parts is a pixel to 1e-3 beyond the core. parts: of a pixel's height and width. spread: their sides
-    [pixel]. centres: middles of the profiles, (P, 2) [pixel]. streaks: of each wavelength, or none.
+    [pixel]. centres: middles of the profiles, (P, 2) [pixel]. streaks: of each spot or one, by wavelength; or none.
     """
 
     cores: np.ndarray
@@ -197,7 +210,7 @@ class PointKernels:
     parts: tuple[int, int]
     spread: tuple[float, float]
     centres: np.ndarray
-    streaks: tuple[points.Streaks, ...] = ()
+    streaks: tuple[tuple[points.Streaks, ...], ...] = ()
     width: float = 1.0
     is_quarter: bool = False
 
@@ -209,11 +222,11 @@ class PointKernels:
             for side, count in zip(self.spread, self.parts, strict=True)
         )
         radius = np.hypot(y[..., None, None] + down[:, None], x[..., None, None] + across)
-        radii = self.step * np.arange(self.profiles.shape[1])
+        radii = self.step * np.arange(self.profiles.shape[-1])
         light = np.stack(
-            [np.interp(radius, radii, one).mean(axis=(-2, -1)) for one in self.profiles]
+            [np.interp(radius, radii, one).mean(axis=(-2, -1)) for one in self.profiles[0]]
         )
-        for own, found in zip(light, self.streaks, strict=False):
+        for own, found in zip(light, self.streaks[0] if self.streaks else (), strict=False):
             own += points.streak_light(found, y, x, self.width)
         return light
 
@@ -245,7 +258,7 @@ def point_kernels(q, aperture: float, reach: int) -> PointKernels:
     both = (parts, parts), (spread, spread)
     centre = np.zeros((1, 2))
     return PointKernels(
-        cores[None], profiles[:, : len(radii)], step, *both, centre, is_quarter=True
+        cores[None], profiles[None, :, : len(radii)], step, *both, centre, is_quarter=True
     )
 
 
@@ -255,7 +268,7 @@ def has_airy_kernels(lens: Lens) -> bool:
     return lens.is_airy and lens.is_uniform and height == width and not any(lens.displacement)
 
 
-def core_of(lens: Lens, wavelengths, spots: int, longest: int) -> int:
+def core_of(lens: Lens, wavelengths, spots: int, longest: int, distances=(0.0,)) -> int:
     """Return the half side of exact kernels [pixel]; 0 if they would take too long.
 
     Args:
@@ -263,12 +276,15 @@ def core_of(lens: Lens, wavelengths, spots: int, longest: int) -> int:
         wavelengths: [nm], shape (L,).
         spots: Places that have kernels of their own.
         longest: Pixels along the frame.
+        distances: Of the points; 0: in focus [m].
     """
     if lens.tail is None:
         return lens.least_size // 2 + 1
-    q = lens.q(wavelengths)
-    corner = lens.waves(wavelengths[:1], 0.0 if lens.is_uniform else 1.0)[0]
-    slope = points.steepest(corner)
+    q, height = lens.q(wavelengths), 0.0 if lens.is_uniform else 1.0
+    slope = max(
+        points.steepest(lens.waves(wavelengths[:1], height, distance=distance or None)[0])
+        for distance in distances
+    )
     away = 2 * q[0] * slope
     least = max(LEAST_RINGS * q.max(), LEAST_RAYS * away) + np.hypot(*lens.displacement)
     found = 0
@@ -297,40 +313,50 @@ def lens_kernels(lens: Lens, wavelengths, spots, core: int, reach: int) -> Point
     )
     cores, centres = np.stack(energies), np.stack(middles)
     if lens.tail is None:  # nothing is beyond
-        nothing = np.zeros((len(wavelengths), 2))
+        nothing = np.zeros((1, len(wavelengths), 2))
         return PointKernels(cores, nothing, 1.0, (1, 1), (1.0, 1.0), centres)
-    return _rim_kernels(lens, wavelengths, cores, centres, core, reach)
+    distances = np.asarray(spots)[:, 4]
+    if len(set(distances.tolist())) == 1:
+        distances = distances[:1]
+    return _rim_kernels(lens, wavelengths, cores, centres, core, reach, distances)
 
 
-def _rim_kernels(lens, wavelengths, cores, centres, core, reach):
-    """Kernels of a pupil with these cores: the light beyond them is that on the axis."""
-    q, waves, optics = lens.q(wavelengths), lens.waves(wavelengths), lens.optics
+def _rim_kernels(lens, wavelengths, cores, centres, core, reach, distances=(0.0,)):
+    """Kernels of a pupil with these cores: the light beyond them is that on the axis, at each distance."""
+    q, optics = lens.q(wavelengths), lens.optics
     parts = tuple(min(ceil(FINER * side / q.min()), 8) for side in lens.aperture)
     spread = tuple(side / count for side, count in zip(lens.aperture, parts, strict=True))
     step = max(q.min() / PER_RING, 1 / 256)
     away = float(np.abs(centres).max())
     radii = step * np.arange(ceil(np.sqrt(2) * (reach + away + 1) / step) + 2)
-    profiles, lines = np.zeros((len(q), len(radii))), []
-    for own, one, wave in zip(profiles, q, waves, strict=True):
-        middle = points.rim_centre(optics.pupil, wave, one)
-        pupil = optics.pupil, wave, one, middle
-        own[:] = points.round_profile(*pupil, radii, spread, lens.spots)
-        if optics.pupil.sides.size:
-            lines.append(points.streaks(*pupil, lens.aperture, lens.spots))
+    profiles, streaks = np.zeros((len(distances), len(q), len(radii))), []
+    for each, distance in zip(profiles, distances, strict=True):
+        waves, lines = lens.waves(wavelengths, distance=float(distance) or None), []
+        for own, one, wave in zip(each, q, waves, strict=True):
+            middle = points.rim_centre(optics.pupil, wave, one)
+            pupil = optics.pupil, wave, one, middle
+            own[:] = points.round_profile(*pupil, radii, spread, lens.spots)
+            if optics.pupil.sides.size:
+                lines.append(points.streaks(*pupil, lens.aperture, lens.spots))
+        if lines:
+            streaks.append(tuple(lines))
     width = points.corner_width(lens.aperture)
-    return PointKernels(cores, profiles, step, parts, spread, centres, tuple(lines), width)
+    return PointKernels(cores, profiles, step, parts, spread, centres, tuple(streaks), width)
 
 
-def beyond_errors(lens: Lens, wavelengths, weights, core: int) -> tuple[float, float]:
+def beyond_errors(
+    lens: Lens, wavelengths, weights, core: int, distance: float = 0.0
+) -> tuple[float, float]:
     """Return the relative error of light beyond a core on the axis, in the mean and at most, of all channels.
 
-    Compared are pixels along the core's rim. weights: of the wavelengths in the channels, (C, L).
+    Compared are pixels along the core's rim. weights: of the wavelengths in the channels, (C, L). distance: of the
+    point; 0: in focus [m].
     """
     if lens.tail is None:
         return 0.0, 0.0
     at = np.unique(np.round(np.linspace(-core, core, PROBED)).astype(int))
-    exact, centre = lens.point_energies(wavelengths, np.zeros(4), at)
-    made = _rim_kernels(lens, wavelengths, exact[None], centre[None], core, 2 * core)
+    exact, centre = lens.point_energies(wavelengths, np.array([0.0, 0, 0, 0, distance]), at)
+    made = _rim_kernels(lens, wavelengths, exact[None], centre[None], core, 2 * core, (distance,))
     y, x = np.meshgrid(at, at, indexing="ij")
     outer = np.maximum(abs(y), abs(x)) >= 0.8 * core
     seen = made.beyond(y[outer], x[outer])
@@ -368,35 +394,104 @@ def mixed_kernels(kernels: PointKernels, lights: Highlights, weights) -> tuple[n
 
     weights: of the wavelengths in the channels, (C, L).
     """
+    cover = np.full(len(lights.light), -1) if lights.cover is None else lights.cover
     each, index = np.unique(
-        np.stack([lights.light, lights.spot], axis=1), axis=0, return_inverse=True
+        np.stack([lights.light, lights.spot, cover], axis=1), axis=0, return_inverse=True
     )
     mix = lights.spectra[each[:, 0]][:, None] * weights  # (kernels, channels, L)
-    if len(kernels.cores) == 1:
-        cores = np.tensordot(mix, kernels.cores[0], 1)
-    else:
-        cores = np.einsum("kcl,klyx->kcyx", mix, kernels.cores[each[:, 1]], optimize=True)
+
+    def mixed(tables):
+        """Tables of each spot, or of one, (P or 1, L, ...), in the channels of each kernel."""
+        if len(tables) == 1:
+            return np.tensordot(mix, tables[0], 1)
+        return np.einsum("kcl,kl...->kc...", mix, tables[each[:, 1]], optimize=True)
+
+    cores = mixed(kernels.cores)
     if kernels.is_quarter:
         at = abs(np.arange(1 - cores.shape[-1], cores.shape[-1]))
         cores = cores[..., at[:, None], at]
     found = {
         "cores": cores,
-        "profiles": np.tensordot(mix, kernels.profiles, 1),
+        "profiles": mixed(kernels.profiles),
         "step": kernels.step,
         "parts": kernels.parts,
         "spread": kernels.spread,
         "centres": kernels.centres[each[:, 1]],
     }
     if kernels.streaks:
-        angles = kernels.streaks[0].angles
+        angles = kernels.streaks[0][0].angles
+        profiles, corners = (
+            np.array([[getattr(one, name) for one in own] for own in kernels.streaks])
+            for name in ("profiles", "corners")
+        )
         found |= {
-            "streaks": np.tensordot(mix, np.stack([one.profiles for one in kernels.streaks]), 1),
+            "streaks": mixed(profiles),
             "lines": np.stack([np.sin(angles), np.cos(angles)], axis=1),
-            "corners": mix @ np.array([one.corners for one in kernels.streaks]),
+            "corners": mixed(corners),
             "fine": float(points.FINE),
             "width": kernels.width,
         }
+    if lights.covers is not None:
+        near, far = (np.concatenate([one, np.ones((1, *one.shape[1:]))]) for one in lights.covers)
+        found["cores"] = cores * near[each[:, 2], None]
+        for name in ("profiles", "streaks", "corners"):
+            if name in found:
+                shape = -1, *(1,) * (found[name].ndim - 1)
+                found[name] = found[name] * far[each[:, 2]].reshape(shape)
     return index.ravel(), found
+
+
+def hidden_parts(
+    lights: Highlights, sheets, layer, optics: Optics, pitch: float, margin: int, rays, q: float
+) -> Highlights:
+    """Return highlights with the part of each core that is seen past nearer layers.
+
+    A ray from the point through u of the pupil meets the image at the place -r u, r the signed
+    radius of the blur, and crosses a layer of radius r' at (r' - r) u. A pixel sees the mean over
+    the rays that meet the image near it.
+
+    Args:
+        lights: The highlights.
+        sheets: Layers, the nearest first, see `gpusim.optics.occlusion.Sheet`, in the image.
+        layer: Layer of each sample of the scene, int (rows, cols).
+        optics: Settings of the lens.
+        pitch: Distance of the samples [m].
+        margin: Of the scene around the frame [sample].
+        rays: y, x and share of points of the pupil, (M, 3).
+        q: Wavelength times f-number over pitch: rays farther than that count less.
+    """
+    u, share = rays[:, :2], rays[:, 2]
+    across = np.arange(-lights.core, lights.core + 1)
+    near, far, cover = [], [], np.full(len(lights.places), -1)
+    source = lights.places if lights.source is None else lights.source
+    top = np.array(layer.shape) - 1
+    for n, (place, its) in enumerate(zip(lights.places, source, strict=True)):
+        own = int(layer[tuple(np.clip(its + margin, 0, top))])
+        spot = lights.spots[lights.spot[n]]
+        radius = float(circle_of_confusion(optics, spot[4], pitch)) / 2
+        at = place + spot[2:4] + margin
+        through = np.ones(len(u))
+        for sheet in sheets[:own]:
+            y, x = np.clip(np.rint(at), 0, top).astype(int)
+            away = np.broadcast_to(sheet.radius, layer.shape)[y, x] - radius
+            y, x = np.clip(np.floor(at + away * u + 0.5), 0, top).astype(int).T
+            through = through * (1 - sheet.alpha[y, x])
+        if through.min() == 1:
+            continue
+        mean = float(share @ through)
+        seen = np.full((len(across), len(across)), mean)
+        if mean > 0:
+            landed = spot[2:4] - radius * u
+            square = (across[:, None] - landed[:, 0]) ** 2, (across[:, None] - landed[:, 1]) ** 2
+            for row, own_row in zip(seen, square[0], strict=True):
+                weight = share / (own_row + square[1] + max(q, 0.5) ** 2) ** 2
+                row[:] = weight @ through / weight.sum(axis=1)
+        cover[n] = len(near)
+        near.append(seen)
+        far.append(mean)
+    if not near:
+        return lights
+    return replace(lights, cover=cover, covers=(np.stack(near), np.array(far)))
 
 
 def _mean_over_directions(side, step):

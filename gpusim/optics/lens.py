@@ -250,7 +250,7 @@ class Lens(Protocol):
 
         Args:
             wavelengths: [nm], shape (L,).
-            spot: Field point (y, x), and the image's displacement (rows, cols) [sample].
+            spot: Field point (y, x), the image's displacement (rows, cols) [sample], and the distance; 0: in focus [m].
             at: Rows, and columns, of the pixels from the point [sample], shape (n,); without a `tail` -k ... k.
 
         Returns:
@@ -460,8 +460,8 @@ class PupilLens(_OnGrid):
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """See `Lens`. The energies are exact integrals, without a diffuser."""
         optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
-        waves = self.waves(wavelengths, *_polar(place))
-        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:]
+        waves = self.waves(wavelengths, *_polar(place), distance=float(spot[4]) or None)
+        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:4]
         found, centres = np.empty((len(waves), len(at), len(at))), np.empty((len(waves), 2))
         for own, centre, q, wave, shift in zip(
             found, centres, self.q(wavelengths), waves, shifts, strict=True
@@ -634,10 +634,10 @@ class MeasuredLens(_OnGrid):
 
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """See `Lens`."""
-        y, x, down, across = np.asarray(spot).tolist()
+        y, x, down, across, distance = np.asarray(spot).tolist()
         moved = self.displacement[0] - down, self.displacement[1] - across
         lens = replace(self, displacement=moved)
-        return lens.kernels(wavelengths, (y, x), len(at)), np.zeros(2)
+        return lens.kernels(wavelengths, (y, x), len(at), distance or None), np.zeros(2)
 
 
 @dataclass(frozen=True, eq=False)

@@ -57,7 +57,7 @@ def test_the_kernels_of_points_are_integrals_over_the_pixel():
             )
             radii = np.hypot((dy + points)[:, None], dx + points)
             far = np.interp(
-                radii, kernels.step * np.arange(kernels.profiles.shape[1]), kernels.profiles[0]
+                radii, kernels.step * np.arange(kernels.profiles.shape[-1]), kernels.profiles[0, 0]
             ).mean()
             assert abs(far - exact) < 1e-3 * exact
 

@@ -5,9 +5,11 @@ from functools import cached_property
 
 import numpy as np
 
-from gpusim.domain.account import Bound
+from gpusim.domain.account import UNKNOWN, Bound
 from gpusim.domain.calibration import Framed
 from gpusim.domain.errors import BadData
+from gpusim.optics.depth import DepthPlan
+from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.highlights import (
     MOST,
     MOST_SPOTS,
@@ -17,14 +19,17 @@ from gpusim.optics.highlights import (
     beyond_light,
     core_of,
     has_airy_kernels,
+    hidden_parts,
     median_of,
     split_highlights,
     unsplit_error,
 )
-from gpusim.optics.outside import rule_of, seen_light, spread_afar
+from gpusim.optics.occlusion import pupil_points
+from gpusim.optics.outside import border_indices, rule_of, seen_light, spread_afar
 from gpusim.planner.facts import Facts, Operation
 from gpusim.planner.question import Notes, Question
 
+RAYS = 512  # points of the pupil through which a highlight is seen
 PROBES = 64  # along an axis, at which the error of highlights is predicted
 
 
@@ -114,9 +119,14 @@ class Picture:
             return {}
         if has_airy_kernels(question.lens) and not split.spots.any():
             return {}
-        mean, most = beyond_errors(
-            question.lens, question.scene.wavelengths, question.weights, split.core
-        )
+        own = question.lens, question.scene.wavelengths, question.weights, split.core
+        mean, most = np.max(
+            [
+                beyond_errors(*own, one)
+                for one in split.distances[:: max(len(split.distances) - 1, 1)]
+            ],
+            0,
+        ).tolist()
         rows, cols = (
             np.unique(np.linspace(0, n - 1, min(n, PROBES)).astype(int))
             for n in question.scene.samples
@@ -171,16 +181,23 @@ def _split_off(question, brightness):
     """Content and highlights as of `split_highlights`, with kernels at the points' places in the field."""
     lens, scene, content = question.lens, question.scene, question.facts.samples.whole().on_host()
     longest, rule = max(question.size), rule_of(scene.border)
-    if has_airy_kernels(lens) and question.distortion is None:
+    depth = question.facts.depth
+    if has_airy_kernels(lens) and question.distortion is None and depth is None:
         return split_highlights(content, brightness, question.q.max(), scene.margin, rule)
-    is_single = lens.is_uniform and question.distortion is None  # one kernel serves all points
+    # one kernel serves all points
+    is_single = lens.is_uniform and question.distortion is None and depth is None
+    distances = [0.0]
+    if depth is not None:
+        bright = depth[brightness > THRESHOLD * median_of(brightness)]
+        distances = [float(bright.min()), float(bright.max())]
     most, images = MOST, 9 if rule == "reflect" else 1
     if not is_single:
         bright = np.count_nonzero(brightness > THRESHOLD * median_of(brightness))
         most = min(MOST_SPOTS // images, bright)
-        while most > 1 and not core_of(lens, scene.wavelengths, most * images, longest):
+        while most > 1 and not core_of(lens, scene.wavelengths, most * images, longest, distances):
             most //= 2
-    core = core_of(lens, scene.wavelengths, 1 if is_single else most * images, longest)
+    count = 1 if is_single else most * images
+    core = core_of(lens, scene.wavelengths, count, longest, distances)
     if not core:
         return content, None
     q, end = float(question.q.max()), core
@@ -201,13 +218,23 @@ def _split_off(question, brightness):
     fields = (np.clip(at, 0, 2 * middle) - axis) / question.corner
     if lens.is_uniform:
         fields = 0 * fields
-    every = np.round(np.hstack([fields, at - places]), 9)
+    away = np.zeros((len(places), 1))
+    if depth is not None:
+        rows, cols = (
+            border_indices(one + scene.margin, n, rule)
+            for one, n in zip(made.places.T, depth.shape, strict=True)
+        )
+        away = np.asarray(depth, np.float64)[rows, cols][:, None]
+    every = np.round(np.hstack([fields, at - places, away]), 9)
     spots, spot = np.unique(every, axis=0, return_inverse=True)
     if len(spots) > MOST_SPOTS:
         return content, None
     strength = made.strength * _flux_of_points(question, made.places - middle)
     spot = spot.ravel().astype(np.int32)
-    return rest, replace(made, places=places, strength=strength, spot=spot, spots=spots)
+    source = made.places
+    return rest, replace(
+        made, places=places, strength=strength, spot=spot, spots=spots, source=source
+    )
 
 
 def _image_places(question, at):
@@ -244,13 +271,59 @@ def can_be_split(question: Question) -> bool:
     if (
         lens.is_pointlike
         or question.period
-        or question.facts.depth is not None
+        or (question.facts.depth is not None and (lens.tail is None or question.scene.layers))
         or not question.scene.view.is_plain
         or question.optics.diffuser
     ):
         return False  # a diffuser acts between pixels, and the kernels are known at pixels
     if question.distortion is not None and question.scene.border == "reflect":
         return False  # the mirrored world is distorted, where the formula may not go
+    if question.facts.depth is not None:
+        return True
     if has_airy_kernels(lens) and question.distortion is None:
         return True
     return core_of(lens, question.scene.wavelengths, 1, max(question.size)) > 0
+
+
+def hide(
+    question: Question,
+    picture: Picture,
+    depth: DepthPlan | None,
+    placed: DistortionGrid | None,
+    notes: Notes,
+) -> Picture:
+    """Return the picture with its highlights behind the layers before them, each through every point of the pupil.
+
+    Args:
+        question: The question.
+        picture: The picture.
+        depth: Plan of the blur by distance; None: there is none.
+        placed: The lens's distortion.
+        notes: Notes of the plan.
+    """
+    split, scene = picture.highlights, question.scene
+    if split is None or depth is None or depth.layers < 2:
+        return picture
+    sheets = depth.in_brightness(lambda content: np.zeros(depth.layer.shape))
+    if placed is not None:
+        nodes = view_nodes(scene.view, placed, question.size, scene.content.shape, question.ratio)
+        places = places_of(nodes, question.size)
+        sheets = [sheet.at(*places, "edge") for sheet in sheets]
+    points = pupil_points(question.optics.pupil, RAYS)
+    found = hidden_parts(
+        split,
+        sheets,
+        depth.layer,
+        question.optics,
+        question.pitch,
+        scene.margin,
+        points,
+        question.mean_q,
+    )
+    if found.covers is not None:
+        notes.leave_out(
+            "diffraction at the edges of objects before highlights: rays are cut there",
+            UNKNOWN,
+            "highlights behind edges",
+        )
+    return replace(picture, highlights=found)
