@@ -245,7 +245,7 @@ def divide(light: np.ndarray, share: np.ndarray) -> np.ndarray:
     """
     if np.ptp(share) == 0:
         return light * share.flat[0]
-    laplacian, total = 0.0, 0.0
+    laplacian, total = np.zeros(share.shape), np.zeros(light.shape)
     for axis in (1, 2):
         wave = _waves(light.shape, axis)
         laplacian = laplacian - wave**2

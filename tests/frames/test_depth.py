@@ -254,6 +254,32 @@ def test_slopes_carry_the_predicted_error(start, slope):
     assert 1 / 2.5 < ratio < 2.5  # asked of every prediction
 
 
+def test_light_behind_a_layer_ends_at_a_dark_border():
+    """A disc out of focus at the edge of a dark world, before a plane in focus, with wide diffraction.
+
+    What is outside does not shine: the truth's own sheets and rays, within what the account says.
+    """
+    own = open_camera("mono")
+    optics = replace(LENS, f_number=7.0, relative_illumination="none")
+    sensor = replace(own.sensor, pixel_pitch=2e-6, exposure_time=1e-3)
+    own = replace(own, optics=optics, sensor=sensor)
+    size = 28
+    light = natural(5, (size, size)).astype(np.float32)
+    y, x = np.indices((size, size))
+    cover = (np.hypot(y - 16, x - 7) < 5).astype(np.float32)
+    nodes = np.array([500.0, 550.0, 600.0])
+    front = Cube(nodes, np.full((3, size, size), 0.5, np.float32))
+    scene = Scene(
+        Cube(nodes, np.repeat(light[None], 3, 0)),
+        unit_light(nodes),
+        "zero",
+        depth=np.full((size, size), LENS.object_distance),
+        layers=(Layer(front, cover, distance_of(optics, -8.0, 2e-6)),),
+    )
+    frame = Simulator(own, device=FAST, tolerance=1e-2)(scene, verify=True)
+    assert frame.report.error.rms < frame.report.account.total.rms
+
+
 @pytest.mark.parametrize(("low", "high"), [(0.0, 4.0), (-3.0, 8.0)])
 def test_kernels_between_kernels_keep_what_is_asked(low, high):
     """Real kernels, of a lens at f/2: against four times as many as asked for."""

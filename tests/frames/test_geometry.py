@@ -8,6 +8,7 @@ from devices import ALL_KINDS, KINDS
 
 from gpusim.backends import open_device
 from gpusim.data.lights import illuminant
+from gpusim.domain.calibration import Fisheye
 from gpusim.domain.content import Cube
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable, ideal
 from gpusim.domain.errors import BadData, OutOfRange
@@ -20,6 +21,7 @@ from gpusim.optics.geometry import (
     DistortionGrid,
     distortion_grid,
     microlens_gain,
+    places_of,
     relative_illumination,
 )
 from gpusim.pipeline.simulator import Simulator
@@ -207,6 +209,23 @@ def test_a_grid_ratio_above_two_is_reported():
 def test_a_mapping_that_does_not_cover_the_frame_is_refused(lens, message):
     with pytest.raises(OutOfRange, match=message):
         distortion_grid(lens, (64, 64), PITCH)
+
+
+def test_a_fisheye_in_a_tiny_frame_is_a_fine_grid():
+    """20 x 24 pixels to 80 degrees: places by Newton's method at each pixel, against nodes less than a pixel apart."""
+    shape, pitch = (20, 24), 2e-6
+    focal = np.hypot(*shape) / 2 * pitch / np.deg2rad(80)
+    lens = Fisheye(0.0, 0.0, 0.0, 0.0, focal)
+    made = distortion_grid(lens, shape, pitch)
+    assert min(made.nodes.shape[:2]) > max(shape)
+    y, x = np.meshgrid(*((np.arange(n) - (n - 1) / 2) * pitch for n in shape), indexing="ij")
+    angle = np.hypot(y, x) / focal
+    stretch = np.tan(angle) / angle
+    rows, cols, flux = places_of(made.nodes, shape)
+    wanted = [at / pitch * stretch + (n - 1) / 2 for at, n in zip((y, x), shape, strict=True)]
+    assert np.hypot(rows - wanted[0], cols - wanted[1]).max() < 1e-3
+    # energy by area: d(tan t)^2 / d(t^2) = tan t / (t cos^2 t)
+    np.testing.assert_allclose(flux, stretch / np.cos(angle) ** 2, rtol=2e-3)
 
 
 def test_bad_tables_are_refused():

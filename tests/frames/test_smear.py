@@ -8,6 +8,8 @@ from cameras import PHONE
 from devices import KINDS
 
 import gpusim as gs
+from gpusim.backends import open_device
+from gpusim.captures.smear import Path, convolve
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.scene import Scene
 
@@ -134,3 +136,26 @@ def test_rows_of_a_distorted_picture_see_their_own_time():
     assert "one transfer function" in exposure.plan.models["sensor.shutter"]
     rms = check(exposure, truth(simulator, motion, 4e-5))
     assert 1e-5 < rms and exposure.plan.account.bounds["shutter"].rms < 30 * rms
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_smear_does_not_ring_from_one_end_of_the_scene_to_the_other(axis):
+    """A smooth step from 0.4 to 1.6 in the middle: far from it the light is even, for fractions of a sample too.
+
+    Transforms repeat a scene: from its last sample back to the first is a jump, which rings by (-1)^n
+    times 1 / (pi n) of it at n samples if it is moved by a fraction.
+    """
+    shape = (24, 64) if axis else (64, 24)
+    at = np.arange(64) - 31.5
+    ramp = 1 - 0.6 * np.cos(np.pi * np.clip(at / 16 + 0.5, 0, 1))
+    values = np.broadcast_to(ramp if axis else ramp[:, None], shape)
+    cube = (COLOR[:, None, None] * values).astype(np.float32)
+    scene = Scene(gs.Cube(WAVELENGTHS, cube), LIGHT, border="edge")
+    path = Path(scene, gs.Motion(pan=(145.0, 83.0)), 0.0, SECONDS, 0.0)  # 1.45 and 0.83 samples
+    smeared = convolve(open_device("numpy"), path).content.on_host().planes
+    ends = (smeared[:, :, 2:14], smeared[:, :, -14:-2])
+    if axis == 0:
+        ends = (smeared[:, 2:14], smeared[:, -14:-2])
+    for end, level in zip(ends, (0.4, 1.6), strict=True):
+        # the step's own waves at half a cycle a sample: 1e-5 of it
+        assert np.abs(end / COLOR[:, None, None] - level).max() < 5e-5

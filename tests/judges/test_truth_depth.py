@@ -132,10 +132,11 @@ def test_the_picture_of_a_slope_is_seen_along_the_rays_of_each_pixel(axis):
     # diffraction at f passes 1 - 4 q f / pi of the wave, the pixel sinc(f)
     q = WAVE * own.optics.working_f_number / PITCH
     passed = (1 - 4 * q * f / np.pi) * np.sinc(f)
-    assert np.abs((row - 1) / passed - (wanted - 1))[inside].max() < 0.02
     even = 1 / (1 + slope * u)  # rays that are spread with the same light each
     spread = ((1 + np.cos(2 * np.pi * f * source)) * even) @ mass / mass.sum()
-    assert np.abs(spread - wanted)[inside].max() > 0.003
+    # geometrical optics, of discs from 0 to 3 samples with diffraction in focus: 0.7 % of the wave
+    assert np.abs((row - 1) / passed - (wanted - 1))[inside].max() < 0.012
+    assert np.abs(spread - wanted)[inside].max() > 2 * 0.012
 
 
 def test_the_star_matrix_has_this_lens():
