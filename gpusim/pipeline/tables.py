@@ -262,7 +262,8 @@ def widen_tables(made_of, period, transfers, short, focus, device) -> Any:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         bands = np.stack(list(kernels_of(lens)))
         if focus is not None:
-            still = replace(lens, optics=replace(optics, defocus=0.0, wavefront=Wavefront()))
+            in_focus = replace(optics, defocus=0.0, wavefront=Wavefront())
+            still = open_lens(in_focus, pitch, aperture, displacement=displacement)
             bands -= np.stack(list(kernels_of(still)))
     flat = np.ones(len(nodes))
     if min(lens.aperture) < 1:
