@@ -3,7 +3,6 @@
 from functools import lru_cache
 
 import numpy as np
-from numpy.polynomial.polynomial import polyder
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
@@ -45,19 +44,15 @@ def _slopes(order, at_rim):
     return np.array([np.einsum("pi,pj->pij", *pair).reshape(len(x), -1) for pair in pairs])
 
 
-def _derivatives(wave):
-    """Coefficients of the wavefront's derivatives along x and along y."""
-    return polyder(wave, axis=0), polyder(wave, axis=1)
-
-
 def mean_slopes(outline: Pupil, waves) -> np.ndarray:
     """Return the wavefronts' mean slopes over the open pupil along y and x [waves per radius], (L, 2)."""
-    means = _mean_powers(outline, waves.shape[1])
-    slopes = np.empty((len(waves), 2))
-    for slope, wave in zip(slopes, waves, strict=True):
-        along_x, along_y = _derivatives(wave)
-        slope[:] = np.vdot(along_y, means[:, :-1]), np.vdot(along_x, means[:-1])
-    return slopes
+    count = waves.shape[1]
+    means, powers = _mean_powers(outline, count), np.arange(count)
+    # of x^i y^j: j x^i y^(j - 1) and i x^(i - 1) y^j
+    along_y = powers * np.roll(means, 1, axis=1)
+    along_x = powers[:, None] * np.roll(means, 1, axis=0)
+    flat = np.asarray(waves, np.float64).reshape(len(waves), -1)
+    return flat @ np.stack([along_y.ravel(), along_x.ravel()], axis=1)
 
 
 @lru_cache(maxsize=32)

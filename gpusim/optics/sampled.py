@@ -123,7 +123,8 @@ def rows_of(pupil: Pupil, cycles: float, count: int, diagonal: float):
     """
     step, u = _places(count)
     v, mass = _panels(pupil, cycles) if pupil.sides.size else _circle(1.0, diagonal)
-    weights = _between(*_chord(pupil, v), u, step) * (mass * step)[:, None]
+    left, right = _chord(pupil, v)
+    weights = _between(left, right, u, step) * (mass * step)[:, None]
     if hole := pupil.obscuration:
         rows, mass = _circle(hole, diagonal)
         reach = np.sqrt(np.maximum(hole**2 - rows * rows, 0))

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from math import ceil
 from typing import Any
 
@@ -11,6 +12,7 @@ import scipy
 
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
+from gpusim.domain.pupil import Wavefront
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
@@ -24,7 +26,7 @@ from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
-DRAFT_NODES = 6  # wavelengths between which kernels of drafts are cubic
+DRAFT_NODES = 5  # wavelengths between which kernels of drafts are cubic
 SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 
 
@@ -98,7 +100,12 @@ class LensTables:
         assert blur is not None  # a plan with blur
         made_of = self._made_of(plan), blur.period, fusion and fusion.transfers
         if plan.is_draft and (short := self._short(plan)):
-            return self._cache("drafted", widen_tables, *made_of, short, self.device)
+            focus = self._focus(plan)
+            if focus is not None:
+                focus = self._cache(
+                    "drafted in focus", focus_tables, focus, *made_of[1:], self.device
+                )
+            return self._cache("drafted", widen_tables, *made_of, short, focus, self.device)
         # tables of its wavelengths next to tables of a plan
         name = f"transfer {blur.mix.shape}"
         return self._cache(name, make_tables, *made_of, plan.find(FarField), self.device)
@@ -112,8 +119,8 @@ class LensTables:
     def _short(self, plan):
         """A short period that holds most of the light of points, if tables of the plan's would be slow; or 0.
 
-        The rest of the light falls as 1 / r^3, is about q / SHORT of all, and ends at other places
-        of the period.
+        The rest of the light falls as 1 / r^3, is about q / SHORT of all, and ends at other places of the period.
+        If a lens in focus shares it, half of that period does: the difference falls as 1 / r^5.
         """
         if (
             (lens := self._lens(plan)).symmetry.is_round
@@ -122,8 +129,17 @@ class LensTables:
         ):
             return 0
         wide = 4 * lens.spread(plan.scene.wavelengths)
-        short = 1 << max(SHORT, ceil(wide) - 1).bit_length()
+        least = SHORT if self._focus(plan) is None else SHORT // 2
+        short = 1 << max(least, ceil(wide) - 1).bit_length()
         return short if 2 * short <= min(plan.period) else 0
+
+    def _focus(self, plan):
+        """What tables of the lens in focus depend on, if its light far from a point is the lens's own; else None."""
+        optics, *rest = self._made_of(plan)
+        tail = self._lens(plan).tail
+        if tail is None or tail.lines or not (optics.defocus or optics.wavefront != Wavefront()):
+            return None
+        return replace(optics, defocus=0.0, wavefront=Wavefront()), *rest
 
     def _lens(self, plan):
         """The lens in front of the samples that are blurred; apertures are displaced from samples that are pixels."""
@@ -217,8 +233,21 @@ def make_tables(made_of, period, transfers, far, device) -> Any:
     return near(tables, far.energies(transfers), far.sigmas, period, device=device)
 
 
-def widen_tables(made_of, period, transfers, short, device) -> Any:
-    """Return tables of a period from kernels of a short period and few wavelengths, padded with zeros."""
+def focus_tables(made_of, period, transfers, device) -> np.ndarray:
+    """Return transfer tables of planes of a lens in focus, complex halves (groups, planes, rows, cols // 2 + 1)."""
+    tables = device.numpy(combine_bands(bands_of(made_of, period, device), transfers, device))
+    rows, cols = period
+    if tables.shape[-1] > cols // 2 + 1:  # halves, real and imaginary parts side by side
+        return np.ascontiguousarray(tables).view(np.complex64)
+    at = np.minimum(np.arange(rows), rows - np.arange(rows))
+    return tables[..., at, :].astype(np.complex64)
+
+
+def widen_tables(made_of, period, transfers, short, focus, device) -> Any:
+    """Return tables of a period from kernels of a short period and few wavelengths, padded with zeros.
+
+    focus: tables of the lens in focus, to which kernels add their difference; None: they hold all light.
+    """
     rows, cols = period
     *settings, q = made_of
     optics, pitch, aperture, displacement = settings
@@ -226,13 +255,24 @@ def widen_tables(made_of, period, transfers, short, device) -> Any:
     nodes, between = wavelength_nodes(q, DRAFT_NODES)  # q goes with the wavelength
     size = short - 1
     wavelengths = nodes * pitch / optics.working_f_number * 1e9
+
+    def kernels_of(lens):
+        return pool.map(lambda each: lens.kernels([each], (0.0, 0.0), size)[0], wavelengths)
+
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        one = pool.map(lambda each: lens.kernels([each], (0.0, 0.0), size)[0], wavelengths)
-        bands = np.stack(list(one))
+        bands = np.stack(list(kernels_of(lens)))
+        if focus is not None:
+            in_focus = replace(optics, defocus=0.0, wavefront=Wavefront())
+            still = open_lens(in_focus, pitch, aperture, displacement=displacement)
+            bands -= np.stack(list(kernels_of(still)))
     flat = np.ones(len(nodes))
     if min(lens.aperture) < 1:
         flat = exact_tables(lens, nodes, 1, 1)[:, 0, 0]
-    bands *= (flat / bands.sum(axis=(1, 2)))[:, None, None]
+    if focus is None:
+        bands *= (flat / bands.sum(axis=(1, 2)))[:, None, None]
+    else:
+        bands -= bands.mean(axis=(1, 2), keepdims=True)
+        bands *= flat[:, None, None]
     kernels = np.tensordot(transfers @ between, bands, 1).astype(np.float32)
     # the middle comes first
     at = (np.arange(short) + size // 2) % short
@@ -245,6 +285,8 @@ def widen_tables(made_of, period, transfers, short, device) -> Any:
     tables[..., :middle, :] = along[..., :middle, :]
     tables[..., -middle:, :] = along[..., middle:, :]
     tables = scipy.fft.fft(tables, axis=-2, overwrite_x=True, workers=-1)
+    if focus is not None:
+        tables += focus
     return device.array(tables.view(np.float32))
 
 

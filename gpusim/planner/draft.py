@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.domain.camera import Camera
-from gpusim.domain.pupil import Wavefront
+from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.highlights import Highlights
@@ -23,6 +23,7 @@ TURNED: dict[str, Any] = {  # settings that may differ
     "f_number": 8.0,
     "object_distance": np.inf,
     "defocus": 0.0,
+    "pupil": Pupil(),
     "wavefront": Wavefront(),
 }
 

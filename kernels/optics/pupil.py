@@ -20,10 +20,13 @@ polygon, s is counted along each ray up to its own cut-off, and no cubic reaches
 which O has an edge: the directions of the polygon's sides, and the corners of the cut-off.
 """
 
-from math import floor
+import os
+from concurrent.futures import ThreadPoolExecutor
+from math import ceil, floor
 from typing import Any
 
 import numpy as np
+import scipy
 
 from gpusim.backends import Device
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
@@ -31,6 +34,10 @@ from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 from gpusim.optics.rays import polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
+AT_ONCE = 8  # bands
+LARGE = 2**20  # frequencies from which on a CPU interpolates O between even ones
+NODES = 256  # of these to a cycle per pixel
+EXACT = 8  # of these next to f = 0 are not interpolated
 
 
 @stage
@@ -106,14 +113,80 @@ def pupil(
         return tables
     table, angle, sectors = polar_table(outline, waves)
     sides, inner = outline.cutoff
-    table = device.array(np.stack([table.real, table.imag], axis=-1))
-    shape = (len(q), fy.size, fx.size)
-    tables = device.empty((*shape[:2], 2 * shape[2]))
-    arrays = [table, *common, tables]
-    numbers = [low, high, angle, sides, inner, sectors]
-    sizes = [(table.shape[1] - 1) // sectors, table.shape[2], *shape]
-    device.launch("optics.pupil", "polar", grid, *arrays, *numbers, *sizes, **launching)
+    whole = np.stack([table.real, table.imag], axis=-1)
+    table = device.array(whole)
+    numbers = [angle, sides, inner, sectors, (table.shape[1] - 1) // sectors, table.shape[2]]
+
+    def fold(weights, fy, fx, low, high, bands=slice(None)):
+        """Tables of bands at the frequencies fy, fx from the replicas low .. high."""
+        shape = len(q[bands]), fy.size, fx.size
+        tables = device.empty((*shape[:2], 2 * shape[2]))
+        lines = table if bands == slice(None) else device.array(whole[bands])
+        arrays = [lines, *map(device.array, (q[bands], *weights, fy, fx)), tables]
+        grid = -(-shape[0] // block), fy.size, fx.size
+        sizes = [low, high, *numbers, *shape]
+        device.launch("optics.pupil", "polar", grid, *arrays, *sizes, **launching)
+        return tables
+
+    reach = ceil(NODES * cutoff) + 3
+    is_large = rows * cols >= max(LARGE, 2 * (2 * reach + 1) ** 2)
+    if block > 1 and is_large and not sides:  # a polygon has edges along its rays
+        return device.array(_fold_between(fold, device, len(q), weights, fy, fx, low, high, reach))
+    return fold(weights, fy, fx, low, high)
+
+
+def _fold_between(fold, device, bands, weights, fy, fx, low, high, reach):
+    """Return tables from O at even frequencies: cubics between them, and the sum over replicas, are sparse matrices.
+
+    Near f = 0, where O has a cusp, the tables are exact.
+    """
+    nodes = np.arange(-reach, reach + 1) / NODES
+    plain = np.zeros((1, len(nodes), 2), np.float32)
+    plain[..., 0] = 1
+    replicas = np.arange(low, high + 1)[:, None]
+    down, across = (
+        _cubics(replicas + f, weight, reach) for f, weight in zip((fy, fx), weights, strict=True)
+    )
+    near = [np.flatnonzero(np.abs(f) < EXACT / NODES) for f in (fy, fx)]
+    parts = [np.ascontiguousarray(weight[:, at]) for weight, at in zip(weights, near, strict=True)]
+    tables = np.empty((bands, len(fy), 2 * len(fx)), np.float32)
+
+    def make(table, values):
+        along = np.ascontiguousarray((across @ values.view(np.complex64).T).T)
+        table[:] = (down @ along).view(np.float32)
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for first in range(0, bands, AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            values = device.numpy(fold([plain, plain], nodes, nodes, 0, 0, some))
+            list(pool.map(make, tables[some], values))
+    exact = device.numpy(fold(parts, fy[near[0]], fx[near[1]], low, high))
+    tables[:, near[0], : exact.shape[2]] = exact
     return tables
+
+
+def _cubics(f, weights, reach):
+    """Sparse matrix from values at the nodes to sums over replicas f (replicas, n), complex64 (n, 2 reach + 1)."""
+    place = f * NODES + reach
+    first = np.floor(place).astype(int) - 1
+    t = place - first - 1
+    basis = np.stack(
+        [
+            -t * (t - 1) * (t - 2) / 6,
+            (t + 1) * (t - 1) * (t - 2) / 2,
+            -(t + 1) * t * (t - 2) / 2,
+            (t + 1) * t * (t - 1) / 6,
+        ],
+        axis=-1,
+    )
+    entries = basis * (weights[..., 0] + 1j * weights[..., 1])[..., None]
+    column = first[..., None] + np.arange(4)
+    row = np.broadcast_to(np.arange(f.shape[1])[:, None], column.shape)
+    there = (column >= 0) & (column <= 2 * reach)
+    shape = f.shape[1], 2 * reach + 1
+    return scipy.sparse.csr_array(
+        (entries[there].astype(np.complex64), (row[there], column[there])), shape=shape
+    )
 
 
 def cases():

@@ -7,7 +7,7 @@ import pytest
 from cameras import camera_with
 
 import gpusim as gs
-from gpusim.domain.pupil import Wavefront
+from gpusim.domain.pupil import Pupil, Wavefront
 
 BASE = camera_with(gs.open_camera("phone"), sensor={"exposure_time": 0.01})
 TOLERANCE = 1e-3
@@ -31,6 +31,11 @@ TURNS = {  # from, to, of the optics
     "spherical": (zernike(spherical=0.05), zernike(spherical=0.06)),
     "coma": (zernike(coma=0.1), zernike(coma=0.13)),
     "astigmatism": (zernike(astigmatism=0.2), zernike(astigmatism=0.15)),
+    "blades": ({"pupil": Pupil(6, 0, 0.1)}, {"pupil": Pupil(6, 0, 0.2)}),
+    "ring": (
+        {"pupil": Pupil(0, 0.3), **zernike(coma=0.1)},
+        {"pupil": Pupil(0, 0.3), **zernike(coma=0.13)},
+    ),
 }
 
 
