@@ -37,8 +37,8 @@ def energies(distance, rows, cols, most=np.inf):
     Chords of the polygon between the heights of its corners, with Gauss-Legendre nodes along both
     axes, and in the pixels.
     """
-    turns = BLADES.rotation + 2 * np.pi * np.arange(7) / 6
-    corners = np.stack([np.sin(turns), np.cos(turns)], axis=1)
+    angles = BLADES.rotation + 2 * np.pi * np.arange(7) / 6
+    corners = np.stack([np.sin(angles), np.cos(angles)], axis=1)
     levels = np.unique(np.round(corners[:6, 0], 12))
     nodes, mass = GAUSS(14)  # four to a fringe of q
     at_y, at_x = (
@@ -46,8 +46,11 @@ def energies(distance, rows, cols, most=np.inf):
     )
     field, area = 0.0, 0.0
     defocus = waves(distance)
-    y_nodes, y_mass = GAUSS(100)
-    x_nodes, x_mass = GAUSS(200)
+    turns = max(np.abs(at_y).max(), np.abs(at_x).max()) + 2 * abs(
+        defocus
+    )  # of the phase, per radius
+    y_nodes, y_mass = GAUSS(int(2 * turns) + 40)
+    x_nodes, x_mass = GAUSS(int(4 * turns) + 40)
     for low, high in pairwise(levels):
         for t, w in zip(y_nodes, y_mass, strict=True):
             y = (low + high) / 2 + t * (high - low) / 2
@@ -103,7 +106,13 @@ def disc():
     return energies(NEAR, INNER, INNER)
 
 
-@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize(
+    "device",
+    [
+        pytest.param(kind, marks=[] if kind.startswith("opencl") else pytest.mark.slow)
+        for kind in ALL_KINDS
+    ],
+)
 def test_a_point_before_shadows(device, disc):
     """1e9 at 2 m through six blades focused at 5 m: its own disc, and far from it its rim's and its streaks' light."""
     mean, plan = exposed(scene_of(NEAR), device)

@@ -8,8 +8,6 @@ import numpy as np
 from gpusim.domain.account import UNKNOWN, Bound
 from gpusim.domain.calibration import Framed
 from gpusim.domain.errors import BadData
-from gpusim.optics.depth import DepthPlan
-from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.highlights import (
     MOST,
     MOST_SPOTS,
@@ -106,6 +104,12 @@ class Picture:
         notes.models["optics.splat"] = (
             f"{len(split.places)} highlights added exactly, each with its own spectrum"
         )
+        if split.covers is not None:
+            notes.leave_out(
+                "diffraction at the edges of objects before highlights: rays are cut there",
+                UNKNOWN,
+                "highlights behind edges",
+            )
         if split.residue:
             notes.beside["local error next to further highlights"] = split.residue
 
@@ -173,7 +177,7 @@ def split(question: Question) -> tuple[Question, Picture]:
     lights *= highlights.strength[:, None]
     together = (lights.sum(axis=1) ** 2).sum()
     apart = float((lights**2 @ question.share).sum() / max(together, 1e-300))
-    question = replace(question, facts=Facts(content))
+    question = replace(question, facts=Facts(content, question.facts.depth))
     return question, replace(picture, brightness=brightness, highlights=highlights, apart=apart)
 
 
@@ -232,9 +236,12 @@ def _split_off(question, brightness):
     strength = made.strength * _flux_of_points(question, made.places - middle)
     spot = spot.ravel().astype(np.int32)
     source = made.places
-    return rest, replace(
-        made, places=places, strength=strength, spot=spot, spots=spots, source=source
-    )
+    made = replace(made, places=places, strength=strength, spot=spot, spots=spots, source=source)
+    if depth is not None:
+        rays = pupil_points(question.optics.pupil, RAYS)
+        seen = depth, question.optics, question.pitch, scene.margin, rays, question.mean_q
+        made = hidden_parts(made, *seen)
+    return rest, made
 
 
 def _image_places(question, at):
@@ -283,47 +290,3 @@ def can_be_split(question: Question) -> bool:
     if has_airy_kernels(lens) and question.distortion is None:
         return True
     return core_of(lens, question.scene.wavelengths, 1, max(question.size)) > 0
-
-
-def hide(
-    question: Question,
-    picture: Picture,
-    depth: DepthPlan | None,
-    placed: DistortionGrid | None,
-    notes: Notes,
-) -> Picture:
-    """Return the picture with its highlights behind the layers before them, each through every point of the pupil.
-
-    Args:
-        question: The question.
-        picture: The picture.
-        depth: Plan of the blur by distance; None: there is none.
-        placed: The lens's distortion.
-        notes: Notes of the plan.
-    """
-    split, scene = picture.highlights, question.scene
-    if split is None or depth is None or depth.layers < 2:
-        return picture
-    sheets = depth.in_brightness(lambda content: np.zeros(depth.layer.shape))
-    if placed is not None:
-        nodes = view_nodes(scene.view, placed, question.size, scene.content.shape, question.ratio)
-        places = places_of(nodes, question.size)
-        sheets = [sheet.at(*places, "edge") for sheet in sheets]
-    points = pupil_points(question.optics.pupil, RAYS)
-    found = hidden_parts(
-        split,
-        sheets,
-        depth.layer,
-        question.optics,
-        question.pitch,
-        scene.margin,
-        points,
-        question.mean_q,
-    )
-    if found.covers is not None:
-        notes.leave_out(
-            "diffraction at the edges of objects before highlights: rays are cut there",
-            UNKNOWN,
-            "highlights behind edges",
-        )
-    return replace(picture, highlights=found)
