@@ -159,3 +159,40 @@ def test_a_card_far_from_the_point_hides_nothing():
     mean, _ = exposed(scene_of(NEAR, POINT[1] + 12))
     near = np.s_[POINT[0] - 8 : POINT[0] + 9, POINT[1] - 8 : POINT[1] + 9]
     assert np.abs(mean - without)[near].max() < 2
+
+
+def airy(q, rows, cols):
+    """Energy of pixels at rows and columns from a point: Airy's pattern, by Gauss-Legendre nodes in each pixel."""
+    nodes, mass = GAUSS(24)
+    y, x = ((np.asarray(one, float)[:, None] + nodes / 2).ravel() for one in (rows, cols))
+    v = np.maximum(np.pi * np.hypot(y[:, None], x) / q, 1e-12)
+    density = np.pi / (4 * q * q) * (2 * scipy.special.j1(v) / v) ** 2
+    shape = len(rows), 24, len(cols), 24
+    return np.einsum("iajb,a,b->ij", density.reshape(shape), mass / 2, mass / 2)
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        gs.View(shift=(0.3, -0.4)),
+        pytest.param(gs.View(shift=(2.0, 1.0), rotation=0.3, zoom=1.5), marks=pytest.mark.slow),
+    ],
+)
+def test_a_point_in_a_view(view):
+    """Between pixels where the view puts it, with the light of the view's magnification, and no interpolation."""
+    scene = replace(scene_of(FOCUS), depth=None, view=view)
+    own = camera()
+    lens = replace(LENS, pupil=Pupil(), f_number=5.6)
+    simulator = gs.Simulator(replace(own, optics=lens), device="opencl:0")
+    found = simulator.expose(scene, 1.0)
+    assert "1 highlights" in found.plan.models["optics.splat"]
+    mean = np.asarray(found.mean, np.float64) / (1e12 * found.plan.weights.sum())
+    middle = (np.array(SHAPE) - 1) / 2
+    # the frame shows shift + R p / zoom
+    down, across = np.array(POINT) - middle - view.shift
+    away = view.zoom * complex(across, down) * np.exp(-1j * view.rotation)
+    at = middle[0] + away.imag, middle[1] + away.real
+    rows, cols = (np.arange(n) - one for n, one in zip(SHAPE, at, strict=True))
+    q = lens.working_f_number * NM * 1e-9 / PITCH
+    truth = view.zoom**2 * LIGHT * airy(q, rows, cols)
+    assert np.abs(mean - truth).max() < 1e-4 * truth.max()

@@ -186,10 +186,11 @@ def _split_off(question, brightness):
     lens, scene, content = question.lens, question.scene, question.facts.samples.whole().on_host()
     longest, rule = max(question.size), rule_of(scene.border)
     depth = question.facts.depth
-    if has_airy_kernels(lens) and question.distortion is None and depth is None:
+    is_placed = question.distortion is not None or not scene.view.is_plain
+    if has_airy_kernels(lens) and not is_placed and depth is None:
         return split_highlights(content, brightness, question.q.max(), scene.margin, rule)
     # one kernel serves all points
-    is_single = lens.is_uniform and question.distortion is None and depth is None
+    is_single = lens.is_uniform and not is_placed and depth is None
     distances = [0.0]
     if depth is not None:
         bright = depth[brightness > THRESHOLD * median_of(brightness)]
@@ -245,8 +246,9 @@ def _split_off(question, brightness):
 
 
 def _image_places(question, at):
-    """Places of the lens's image of samples at (rows, cols) from the frame's middle, both (N, 2) [sample]."""
+    """Places of the lens's image of the scene's samples at (rows, cols) from its middle, both (N, 2) [sample]."""
     distortion = question.distortion
+    at = np.stack(question.scene.view.locate(*at.T, question.ratio), axis=1)
     if distortion is None:
         return at
     y, x = at.T * (question.pitch / distortion.radius)
@@ -257,19 +259,20 @@ def _image_places(question, at):
 def _flux_of_points(question, at) -> np.ndarray | float:
     """Factor of the light of samples at (rows, cols) from the frame's middle, both (N, 2) [sample].
 
-    A point keeps its energy. If a relative illumination is given, flat fields stay flat instead, see
-    `DistortionGrid`: a point is the brighter the larger the lens shows its surroundings.
+    A point keeps its energy, at the view's magnification. If a relative illumination is given, flat
+    fields stay flat instead, see `DistortionGrid`: a point is the brighter the larger the lens shows its surroundings.
     """
-    model = question.distortion
+    model, zoom = question.distortion, question.scene.view.zoom**2
     if model is None or isinstance(question.optics.relative_illumination, str):
-        return 1.0
+        return zoom
+    at = np.stack(question.scene.view.locate(*at.T, question.ratio), axis=1)
     places = at[:, ::-1].T * (question.pitch / model.radius)
     axis = model.middle if isinstance(model, Framed) else (0.0, 0.0)
     areas = []
     for x, y in (places, np.array(axis)[:, None]):
         a, b, c, d = model.derivative(x, y)
         areas.append(a * d - b * c)
-    return areas[0] / areas[1]
+    return zoom * areas[0] / areas[1]
 
 
 def can_be_split(question: Question) -> bool:
@@ -279,14 +282,14 @@ def can_be_split(question: Question) -> bool:
         lens.is_pointlike
         or question.period
         or (question.facts.depth is not None and (lens.tail is None or question.scene.layers))
-        or not question.scene.view.is_plain
         or question.optics.diffuser
     ):
         return False  # a diffuser acts between pixels, and the kernels are known at pixels
-    if question.distortion is not None and question.scene.border == "reflect":
-        return False  # the mirrored world is distorted, where the formula may not go
-    if question.facts.depth is not None:
-        return True
+    is_known = question.distortion is None and question.facts.depth is None
+    if not is_known and question.scene.border == "reflect":
+        return False  # the mirrored world is distorted, where the formula may not go, or hidden
+    if question.facts.depth is not None or not question.scene.view.is_plain:
+        return True  # `_split_off` knows what takes too long
     if has_airy_kernels(lens) and question.distortion is None:
         return True
     return core_of(lens, question.scene.wavelengths, 1, max(question.size)) > 0
