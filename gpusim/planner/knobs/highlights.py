@@ -190,7 +190,7 @@ def _split_off(question, brightness):
     if has_airy_kernels(lens) and not is_placed and depth is None:
         return split_highlights(content, brightness, question.q.max(), scene.margin, rule)
     # one kernel serves all points
-    is_single = lens.is_uniform and not is_placed and depth is None
+    is_single = lens.is_uniform and question.distortion is None and depth is None
     distances = [0.0]
     if depth is not None:
         bright = depth[brightness > THRESHOLD * median_of(brightness)]
@@ -215,7 +215,8 @@ def _split_off(question, brightness):
     if lens.tail is not None and lens.tail.lines:  # a streak falls slowly
         made = replace(made, reach=np.full_like(made.reach, longest))
     if is_single:
-        return rest, made
+        moved = np.array(scene.view.locate(*np.zeros(2), question.ratio))
+        return rest, replace(made, places=made.places + np.rint(moved).astype(int))
     middle = (np.array(scene.samples) - 1) / 2
     at = _image_places(question, made.places - middle) + middle
     places = np.rint(at).astype(int)
@@ -283,12 +284,15 @@ def can_be_split(question: Question) -> bool:
         or question.period
         or (question.facts.depth is not None and (lens.tail is None or question.scene.layers))
         or question.optics.diffuser
+        or not question.scene.view.is_whole(question.ratio)
     ):
-        return False  # a diffuser acts between pixels, and the kernels are known at pixels
+        # a diffuser acts between pixels, and the kernels are known at pixels; those of a view between samples take
+        # seconds, for each view of a path
+        return False
     is_known = question.distortion is None and question.facts.depth is None
     if not is_known and question.scene.border == "reflect":
         return False  # the mirrored world is distorted, where the formula may not go, or hidden
-    if question.facts.depth is not None or not question.scene.view.is_plain:
+    if question.facts.depth is not None:
         return True  # `_split_off` knows what takes too long
     if has_airy_kernels(lens) and question.distortion is None:
         return True
