@@ -154,6 +154,7 @@ def test_a_point_behind_a_card(disc):
     assert not plan.verdict.is_met
 
 
+@pytest.mark.slow
 def test_a_card_far_from_the_point_hides_nothing():
     """Its rays pass: the same light as without the card, but for the card's own shadow-like light."""
     without, _ = exposed(scene_of(NEAR))
