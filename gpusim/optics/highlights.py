@@ -37,6 +37,8 @@ CORES = (8, 12, 16, 24, 32, 48, 64, 96, 128)
 LEAST_RINGS, LEAST_RAYS, MOST_WAVES = 12.0, 1.5, 2e8
 MOST_SPOTS = 32  # places in the field that have kernels of their own
 FINER = 2.0  # parts of a pixel to a diffraction ring at least, 8 parts at most
+SAME_PLACE = 0.1  # [pixel] of the blur's radius between distances that may hide each other
+MOST_LEVELS = 64  # distances in front of a point
 PROBED = 12  # rows and columns at which the light beyond a core is compared with exact light
 ON_AXIS = np.zeros((1, 5))
 
@@ -442,40 +444,44 @@ def mixed_kernels(kernels: PointKernels, lights: Highlights, weights) -> tuple[n
 
 
 def hidden_parts(
-    lights: Highlights, sheets, layer, optics: Optics, pitch: float, margin: int, rays, q: float
+    lights: Highlights, depth, optics: Optics, pitch: float, margin: int, rays, q: float
 ) -> Highlights:
-    """Return highlights with the part of each core that is seen past nearer layers.
+    """Return highlights with the part of each core that is seen past nearer samples.
 
-    A ray from the point through u of the pupil meets the image at the place -r u, r the signed
-    radius of the blur, and crosses a layer of radius r' at (r' - r) u. A pixel sees the mean over
-    the rays that meet the image near it.
+    A ray from the point through u of the pupil meets the image at the place -r u from the point's, r
+    the signed radius of the blur, and crosses the distance with a radius r' at (r' - r) u. A pixel
+    sees the mean over the rays that meet the image near it.
 
     Args:
-        lights: The highlights.
-        sheets: Layers, the nearest first, see `gpusim.optics.occlusion.Sheet`, in the image.
-        layer: Layer of each sample of the scene, int (rows, cols).
+        lights: The highlights, with sources.
+        depth: Distance of every sample of the scene [m], (rows, cols).
         optics: Settings of the lens.
         pitch: Distance of the samples [m].
         margin: Of the scene around the frame [sample].
         rays: y, x and share of points of the pupil, (M, 3).
         q: Wavelength times f-number over pitch: rays farther than that count less.
     """
+    assert lights.source is not None
     u, share = rays[:, :2], rays[:, 2]
     across = np.arange(-lights.core, lights.core + 1)
     near, far, cover = [], [], np.full(len(lights.places), -1)
-    source = lights.places if lights.source is None else lights.source
-    top = np.array(layer.shape) - 1
-    for n, (place, its) in enumerate(zip(lights.places, source, strict=True)):
-        own = int(layer[tuple(np.clip(its + margin, 0, top))])
-        spot = lights.spots[lights.spot[n]]
-        radius = float(circle_of_confusion(optics, spot[4], pitch)) / 2
-        at = place + spot[2:4] + margin
+    radii = circle_of_confusion(optics, depth, pitch) / 2
+    last = np.array(radii.shape) - 1
+    for n, source in enumerate(lights.source):
+        spot, at = lights.spots[lights.spot[n]], np.clip(source + margin, 0, last)
+        radius = float(radii[tuple(at)])
+        reach = int(np.ceil(radius - radii.min())) + 1
+        around = tuple(slice(max(one - reach, 0), one + reach + 1) for one in at)
+        nearer = radii[around][radii[around] < radius - SAME_PLACE]
+        if not len(nearer):
+            continue
+        levels = np.unique(np.round(nearer / SAME_PLACE).astype(int))
         through = np.ones(len(u))
-        for sheet in sheets[:own]:
-            y, x = np.clip(np.rint(at), 0, top).astype(int)
-            away = np.broadcast_to(sheet.radius, layer.shape)[y, x] - radius
-            y, x = np.clip(np.floor(at + away * u + 0.5), 0, top).astype(int).T
-            through = through * (1 - sheet.alpha[y, x])
+        for level in levels[:: max(len(levels) // MOST_LEVELS, 1)] * SAME_PLACE:
+            y, x = np.clip(np.floor(at + (level - radius) * u + 0.5), 0, last).astype(int).T
+            step = SAME_PLACE * max(len(levels) // MOST_LEVELS, 1)
+            own = radii[y, x]
+            through[(np.abs(own - level) <= step / 2 + 1e-9) & (own < radius - SAME_PLACE)] = 0
         if through.min() == 1:
             continue
         mean = float(share @ through)

@@ -404,7 +404,6 @@ def plan(
         pixels.note_view(question, told(), notes)
     placed = pixels.plan_distortion(question, told, notes)
     by_depth = blur.by_depth(question, told, placed, notes)
-    picture = highlights.hide(question, picture, by_depth, placed, notes)
     fixed = rounding_of(question, probes, single)
     seen = (
         _seen(question, picture, probes, operation, by_depth, fixed, notes)

@@ -8,8 +8,6 @@ import numpy as np
 from gpusim.domain.account import UNKNOWN, Bound
 from gpusim.domain.calibration import Framed
 from gpusim.domain.errors import BadData
-from gpusim.optics.depth import DepthPlan
-from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.highlights import (
     MOST,
     MOST_SPOTS,
@@ -106,6 +104,12 @@ class Picture:
         notes.models["optics.splat"] = (
             f"{len(split.places)} highlights added exactly, each with its own spectrum"
         )
+        if split.covers is not None:
+            notes.leave_out(
+                "diffraction at the edges of objects before highlights: rays are cut there",
+                UNKNOWN,
+                "highlights behind edges",
+            )
         if split.residue:
             notes.beside["local error next to further highlights"] = split.residue
 
@@ -173,7 +177,7 @@ def split(question: Question) -> tuple[Question, Picture]:
     lights *= highlights.strength[:, None]
     together = (lights.sum(axis=1) ** 2).sum()
     apart = float((lights**2 @ question.share).sum() / max(together, 1e-300))
-    question = replace(question, facts=Facts(content))
+    question = replace(question, facts=Facts(content, question.facts.depth))
     return question, replace(picture, brightness=brightness, highlights=highlights, apart=apart)
 
 
@@ -182,7 +186,8 @@ def _split_off(question, brightness):
     lens, scene, content = question.lens, question.scene, question.facts.samples.whole().on_host()
     longest, rule = max(question.size), rule_of(scene.border)
     depth = question.facts.depth
-    if has_airy_kernels(lens) and question.distortion is None and depth is None:
+    is_placed = question.distortion is not None or not scene.view.is_plain
+    if has_airy_kernels(lens) and not is_placed and depth is None:
         return split_highlights(content, brightness, question.q.max(), scene.margin, rule)
     # one kernel serves all points
     is_single = lens.is_uniform and question.distortion is None and depth is None
@@ -210,7 +215,8 @@ def _split_off(question, brightness):
     if lens.tail is not None and lens.tail.lines:  # a streak falls slowly
         made = replace(made, reach=np.full_like(made.reach, longest))
     if is_single:
-        return rest, made
+        moved = np.array(scene.view.locate(*np.zeros(2), question.ratio))
+        return rest, replace(made, places=made.places + np.rint(moved).astype(int))
     middle = (np.array(scene.samples) - 1) / 2
     at = _image_places(question, made.places - middle) + middle
     places = np.rint(at).astype(int)
@@ -232,14 +238,18 @@ def _split_off(question, brightness):
     strength = made.strength * _flux_of_points(question, made.places - middle)
     spot = spot.ravel().astype(np.int32)
     source = made.places
-    return rest, replace(
-        made, places=places, strength=strength, spot=spot, spots=spots, source=source
-    )
+    made = replace(made, places=places, strength=strength, spot=spot, spots=spots, source=source)
+    if depth is not None:
+        rays = pupil_points(question.optics.pupil, RAYS)
+        seen = depth, question.optics, question.pitch, scene.margin, rays, question.mean_q
+        made = hidden_parts(made, *seen)
+    return rest, made
 
 
 def _image_places(question, at):
-    """Places of the lens's image of samples at (rows, cols) from the frame's middle, both (N, 2) [sample]."""
+    """Places of the lens's image of the scene's samples at (rows, cols) from its middle, both (N, 2) [sample]."""
     distortion = question.distortion
+    at = np.stack(question.scene.view.locate(*at.T, question.ratio), axis=1)
     if distortion is None:
         return at
     y, x = at.T * (question.pitch / distortion.radius)
@@ -250,19 +260,20 @@ def _image_places(question, at):
 def _flux_of_points(question, at) -> np.ndarray | float:
     """Factor of the light of samples at (rows, cols) from the frame's middle, both (N, 2) [sample].
 
-    A point keeps its energy. If a relative illumination is given, flat fields stay flat instead, see
-    `DistortionGrid`: a point is the brighter the larger the lens shows its surroundings.
+    A point keeps its energy, at the view's magnification. If a relative illumination is given, flat
+    fields stay flat instead, see `DistortionGrid`: a point is the brighter the larger the lens shows its surroundings.
     """
-    model = question.distortion
+    model, zoom = question.distortion, question.scene.view.zoom**2
     if model is None or isinstance(question.optics.relative_illumination, str):
-        return 1.0
+        return zoom
+    at = np.stack(question.scene.view.locate(*at.T, question.ratio), axis=1)
     places = at[:, ::-1].T * (question.pitch / model.radius)
     axis = model.middle if isinstance(model, Framed) else (0.0, 0.0)
     areas = []
     for x, y in (places, np.array(axis)[:, None]):
         a, b, c, d = model.derivative(x, y)
         areas.append(a * d - b * c)
-    return areas[0] / areas[1]
+    return zoom * areas[0] / areas[1]
 
 
 def can_be_split(question: Question) -> bool:
@@ -272,58 +283,17 @@ def can_be_split(question: Question) -> bool:
         lens.is_pointlike
         or question.period
         or (question.facts.depth is not None and (lens.tail is None or question.scene.layers))
-        or not question.scene.view.is_plain
         or question.optics.diffuser
+        or not question.scene.view.is_whole(question.ratio)
     ):
-        return False  # a diffuser acts between pixels, and the kernels are known at pixels
-    if question.distortion is not None and question.scene.border == "reflect":
-        return False  # the mirrored world is distorted, where the formula may not go
+        # a diffuser acts between pixels, and the kernels are known at pixels; those of a view between samples take
+        # seconds, for each view of a path
+        return False
+    is_known = question.distortion is None and question.facts.depth is None
+    if not is_known and question.scene.border == "reflect":
+        return False  # the mirrored world is distorted, where the formula may not go, or hidden
     if question.facts.depth is not None:
-        return True
+        return True  # `_split_off` knows what takes too long
     if has_airy_kernels(lens) and question.distortion is None:
         return True
     return core_of(lens, question.scene.wavelengths, 1, max(question.size)) > 0
-
-
-def hide(
-    question: Question,
-    picture: Picture,
-    depth: DepthPlan | None,
-    placed: DistortionGrid | None,
-    notes: Notes,
-) -> Picture:
-    """Return the picture with its highlights behind the layers before them, each through every point of the pupil.
-
-    Args:
-        question: The question.
-        picture: The picture.
-        depth: Plan of the blur by distance; None: there is none.
-        placed: The lens's distortion.
-        notes: Notes of the plan.
-    """
-    split, scene = picture.highlights, question.scene
-    if split is None or depth is None or depth.layers < 2:
-        return picture
-    sheets = depth.in_brightness(lambda content: np.zeros(depth.layer.shape))
-    if placed is not None:
-        nodes = view_nodes(scene.view, placed, question.size, scene.content.shape, question.ratio)
-        places = places_of(nodes, question.size)
-        sheets = [sheet.at(*places, "edge") for sheet in sheets]
-    points = pupil_points(question.optics.pupil, RAYS)
-    found = hidden_parts(
-        split,
-        sheets,
-        depth.layer,
-        question.optics,
-        question.pitch,
-        scene.margin,
-        points,
-        question.mean_q,
-    )
-    if found.covers is not None:
-        notes.leave_out(
-            "diffraction at the edges of objects before highlights: rays are cut there",
-            UNKNOWN,
-            "highlights behind edges",
-        )
-    return replace(picture, highlights=found)
