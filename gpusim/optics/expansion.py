@@ -484,10 +484,10 @@ def expand(made: KernelSpace, confusion: np.ndarray, cover: np.ndarray) -> Terms
     low, high = _spans(made.edges, confusion, cover)
     is_there = np.isfinite(low)
     middle, half = np.where(is_there, (low + high) / 2, 0), np.where(is_there, (high - low) / 2, 0)
-    index, terms, wrong = [], [], np.zeros(len(low))
+    index: list[np.ndarray] = []
+    terms: list[tuple[int, int]] = []
     for power, values in enumerate(made.values):
-        found, error = _polynomials(made, values, middle, half, is_there)
-        wrong += error
+        found, _ = _polynomials(made, values, middle, half, is_there)
         for degree in range(found.shape[1]):
             if not terms or found[:, degree].any():
                 terms.append((power, degree))

@@ -464,7 +464,9 @@ def hidden_parts(
     assert lights.source is not None
     u, share = rays[:, :2], rays[:, 2]
     across = np.arange(-lights.core, lights.core + 1)
-    near, far, cover = [], [], np.full(len(lights.places), -1)
+    near: list[np.ndarray] = []
+    far: list[float] = []
+    cover = np.full(len(lights.places), -1)
     radii = circle_of_confusion(optics, depth, pitch) / 2
     last = np.array(radii.shape) - 1
     for n, source in enumerate(lights.source):

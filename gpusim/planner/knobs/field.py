@@ -93,7 +93,7 @@ def varying_planes(
         wrong = varying.error[0]
     else:
         wanted = limit / (contrast * uneven)
-        varying = question.cache(
+        varying = space = question.cache(
             "depth plan",
             _by_depth,
             *made_of,
@@ -105,7 +105,7 @@ def varying_planes(
             depth.kernels,
             len(question.weights),
         )
-        wrong = float(np.hypot(varying.error[0], expansion_error(varying, depth.surfaces())))
+        wrong = float(np.hypot(space.error[0], expansion_error(space, depth.surfaces())))
         wrong *= uneven
     error = float(np.hypot(error, wrong * np.sqrt(count) * contrast))
     error = float(np.hypot(error, varying.flat))
