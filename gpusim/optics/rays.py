@@ -95,9 +95,7 @@ def polar_table(outline: Pupil, waves, error=None):
     """
     range_, scaled, to_bands = scales(waves)
     error = error or (POLYGON_ERROR if outline.sides.size else CUBIC_ERROR)
-    # rounded, as wavelengths of one lens come in float32 and float64
-    values = np.round(scaled, 12).tobytes()
-    table, first, sectors = _rays(outline, values, scaled.shape, round(range_, 12), error)
+    table, first, sectors = _rays(outline, scaled.tobytes(), scaled.shape, range_, error)
     require_memory("transfer tables", 32 * len(waves) * table[0].size)
     return np.tensordot(to_bands, table, 1), first, sectors
 

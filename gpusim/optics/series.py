@@ -28,9 +28,6 @@ from gpusim.optics.otf import (
 
 ANGLES, RADII = 5, 7  # at which the lengths of series are sought before they are made
 CHUNK = 4096  # radii whose polynomials are in memory at a time
-SHARED = (
-    3  # wavefronts to a band that are integrated, so that few bands of a lens share them with many
-)
 UNRESOLVED = 5e-7  # last coefficients of an interpolation: three of them, twice, are a fifth of the tables' 1e-5
 
 
@@ -210,7 +207,7 @@ def scales(waves, error=1e-7):
         middle, half = (k.max() + k.min()) / 2, (k.max() - k.min()) / 2
         rest = 4 * np.cumsum(np.abs(jv(np.arange(300), 2 * np.pi * half * range_))[::-1])[::-1]
         count = max(1, int(np.argmax(rest < error)))
-        if count < SHARED * len(waves):
+        if count < len(waves):
             x = np.cos((np.arange(count) + 0.5) * np.pi / count)
             at = (k - middle) / half if half else 0 * k
             weights = chebvander(at, count - 1) @ np.linalg.inv(chebvander(x, count - 1))

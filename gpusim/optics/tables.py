@@ -18,7 +18,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import symmetric
 from gpusim.optics.lens import Lens, open_lens, wavelength_nodes
 from gpusim.optics.otf import EXACT, defocus_only, hopkins, transfer
-from gpusim.optics.rays import AFFORDABLE, is_too_costly, polar_table, radial_table
+from gpusim.optics.rays import AFFORDABLE, polar_table, radial_table
 from gpusim.optics.series import expansion
 
 FEW = 2000  # frequencies
@@ -26,7 +26,7 @@ SPLINE = 1e-8  # error of the spline through half the nodes: with all it is a si
 # error of cubics through the table; splines, which are smooth, err by a tenth of that
 TABLE = 1e-6
 POLYGON = 1.5e-5
-MANY = 31  # wavelengths, as most scenes have
+LOOKED_AT = 3e6  # points of integrals for tables that predict errors: a tenth of a second
 
 
 def transfer_tables(
@@ -55,7 +55,7 @@ class _OnHost:
     """Makes transfer tables in float64, good to be looked at: see `gpusim.optics.lens.Stages`."""
 
     whole = False
-    affordable = AFFORDABLE
+    affordable = LOOKED_AT
 
     def airy(self, q, aperture, rows, cols):
         """See `Stages`."""
@@ -102,11 +102,7 @@ def sample_lens(optics, pitch, q, aperture, rows, cols, displacement) -> np.ndar
     if lens.symmetry.is_round:
         return lens.tables(q, rows, cols, _OnHost())
     nodes, between = wavelength_nodes(q)  # q is proportional to the wavelength
-    stages = _OnHost()
-    every = np.linspace(np.min(q), np.max(q), MANY) * pitch / optics.working_f_number * 1e9
-    if is_too_costly(optics.pupil, lens.waves(every)):
-        stages.affordable = 0.0  # as for the tables of frames, which would share the integrals
-    return np.tensordot(between, lens.tables(nodes, rows, cols, stages), 1)
+    return np.tensordot(between, lens.tables(nodes, rows, cols, _OnHost()), 1)
 
 
 class Tables:
@@ -218,6 +214,8 @@ def pupil(
 
 class _Exact(_OnHost):
     """Makes transfer tables with the kernels' reference."""
+
+    affordable = AFFORDABLE
 
     def pupil(self, outline, waves, q, aperture, rows, cols, spots, diffuser, displacement):
         """See `Stages`."""
