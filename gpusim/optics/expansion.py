@@ -483,7 +483,8 @@ def expand(made: KernelSpace, confusion: np.ndarray, cover: np.ndarray) -> Terms
     """
     low, high = _spans(made.edges, confusion, cover)
     is_there = np.isfinite(low)
-    middle, half = np.where(is_there, (low + high) / 2, 0), np.where(is_there, (high - low) / 2, 0)
+    low, high = np.where(is_there, low, 0), np.where(is_there, high, 0)
+    middle, half = (low + high) / 2, (high - low) / 2
     index: list[np.ndarray] = []
     terms: list[tuple[int, int]] = []
     for power, values in enumerate(made.values):
@@ -507,9 +508,8 @@ def expansion_error(made: KernelSpace, surfaces) -> float:
         low, high = _spans(made.edges, confusion, cover)
         is_there = np.isfinite(low)
         if is_there.any():
-            middle, half = (
-                np.where(is_there, one, 0) for one in ((low + high) / 2, (high - low) / 2)
-            )
+            low, high = np.where(is_there, low, 0), np.where(is_there, high, 0)
+            middle, half = (low + high) / 2, (high - low) / 2
             errors = [
                 _polynomials(made, values, middle, half, is_there)[1] for values in made.values
             ]

@@ -172,7 +172,7 @@ def points_summed(picture, depth, y, x, lens, axis=(0.0, 0.0), period=64):
     [
         pytest.param(None, id="field", marks=pytest.mark.slow),
         pytest.param((0.0, 0.0), id="displaced", marks=pytest.mark.slow),
-        pytest.param((2.0, -5.0), id="off the axis"),
+        pytest.param((2.0, -5.0), id="off the axis", marks=pytest.mark.slow),
     ],
 )
 def test_a_slope_through_a_lens_that_varies(axis):
