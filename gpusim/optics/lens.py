@@ -89,8 +89,8 @@ class Stages(Protocol):
     def given(self, tables: np.ndarray) -> Any:
         """Return tables that are already computed."""
 
-    def add(self, tables, spectra: np.ndarray) -> Any:
-        """Return the sum of tables and of half spectra, complex (bands, rows, cols // 2 + 1)."""
+    def add(self, tables, spectra: np.ndarray, is_round: bool) -> Any:
+        """Return the sum of tables and of half spectra, complex (bands, rows, cols // 2 + 1): quarters if round."""
 
 
 class Lens(Protocol):
@@ -413,7 +413,8 @@ class PupilLens(_OnGrid):
             soft,
             tuple(-np.array(self.displacement)),
         )
-        return stages.add(focus, other)
+        is_round = symmetric(optics.pupil, waves) and not any(self.displacement)
+        return stages.add(focus, other, is_round)
 
     def _ray_tables(self, waves, q, rows, cols, stages):
         """Tables of rays, see `gpusim.optics.geometric`."""

@@ -71,17 +71,23 @@ class _OnHost:
         """See `Stages`."""
         return tables
 
-    def add(self, tables, spectra):
+    def add(self, tables, spectra, is_round):
         """See `Stages`."""
-        return add_spectra(tables, spectra)
+        return add_spectra(tables, spectra, is_round)
 
 
-def add_spectra(tables, spectra) -> np.ndarray:
-    """Return the sum of tables, quarters or halves, and of half spectra, complex (bands, rows, cols // 2 + 1)."""
-    rows = tables.shape[1]
-    if rows < spectra.shape[1] or rows == spectra.shape[1] == 1:  # real quarters
-        return tables + spectra[:, :rows].real
-    return tables + np.ascontiguousarray(spectra).view(np.float32)
+def add_spectra(tables, spectra, is_round: bool) -> np.ndarray:
+    """Return the sum of tables, quarters or halves, and of half spectra, complex (bands, rows, cols // 2 + 1).
+
+    is_round: The sum is real quarters; else it is halves, as pairs of real and imaginary parts.
+    """
+    if tables.shape[2] != spectra.shape[2]:  # pairs
+        return tables + np.ascontiguousarray(spectra).view(np.float32)
+    if is_round:
+        return tables + spectra[:, : tables.shape[1]].real
+    rows = np.arange(spectra.shape[1])
+    whole = tables[:, np.minimum(rows, len(rows) - rows)] + spectra
+    return np.ascontiguousarray(whole, np.complex64).view(np.float32)
 
 
 class Caching(Protocol):

@@ -62,9 +62,9 @@ class _OnDevice:
         """See `Stages`."""
         return tables if self._device.kind == "numpy" else self._device.array(tables)
 
-    def add(self, tables, spectra):
+    def add(self, tables, spectra, is_round):
         """See `Stages`."""
-        return self.given(add_spectra(self._device.numpy(tables), spectra))
+        return self.given(add_spectra(self._device.numpy(tables), spectra, is_round))
 
 
 class LensTables:
