@@ -135,7 +135,10 @@ def seen_on_the_way(speed, opens, seconds, count):
     return total / count
 
 
-@pytest.mark.parametrize(("speed", "row_time"), [(1.0, 0.0), (3.0, 0.0), (2.0, 4e-4), (-3.0, 1e-3)])
+@pytest.mark.parametrize(
+    ("speed", "row_time"),
+    [(1.0, 0.0), (3.0, 0.0), (2.0, 4e-4), pytest.param(-3.0, 1e-3, marks=pytest.mark.slow)],
+)
 @pytest.mark.parametrize("tolerance", [pytest.param(None, marks=pytest.mark.slow), "video"])
 def test_motion_blur_of_a_camera_on_its_way(speed, row_time, tolerance):
     """Against 64 times as many places, by geometry; each row of a rolling shutter at its own time."""
