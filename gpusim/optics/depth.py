@@ -28,7 +28,7 @@ from gpusim.optics.mixed import Mixed, find_mixed
 from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
 
 MOST_KERNELS = 64
-MIXED = "depth, distances between displaced samples"
+BETWEEN = "depth, distances between displaced samples"
 SAME = 0.02  # [pixel] between circles of confusion that count as one, for layers in focus
 TOLERANCE = 1e-4  # relative root mean square error by default
 
@@ -129,7 +129,7 @@ class DepthPlan:
     def beside(self, layer: int):
         """Return the light to take away from a layer of a picture, of samples that show other surfaces too.
 
-        A layer's light is (1 + f) of that of the samples `shown` minus f of other samples.
+        A layer's light is (1 + f) times the light of the samples `shown` minus f times the light of others.
 
         Returns:
             Index of the other samples, and f, float32, both (rows, cols); None: there are none.
@@ -279,6 +279,7 @@ def plan_depth(
     scene: Scene | None = None,
     curvature: tuple[float, float] = (0.0, 0.0),
     is_placed: bool = False,
+    widest: float = np.inf,
 ) -> DepthPlan:
     """Choose kernels and layers for one picture.
 
@@ -294,6 +295,7 @@ def plan_depth(
         curvature: Circles of confusion that the lens adds to these over the field [pixel]: the
             smallest and the largest.
         is_placed: Whether the lens or a view displaces samples.
+        widest: Largest circle of confusion of which a lens has kernels [pixel].
 
     Raises:
         BadData: The depth map does not fit.
@@ -323,9 +325,10 @@ def plan_depth(
         if len(distinct) <= 4
         else kernel_nodes(low, high, contrast, tolerance / 4, q, curvature)
     )
-    # a node beyond the nearest or farthest object may have no image
+    # a node beyond the nearest or farthest object may have no image, or too wide a blur
     ends = distance_of(optics, nodes[[0, -1]], pitch)
-    if not (ends[0] > optics.focal_length and 0 < ends[1] < np.inf):
+    has_image = ends[0] > optics.focal_length and 0 < ends[1] < np.inf
+    if not has_image or np.abs(nodes).max() > widest:
         nodes = np.unique(np.clip(nodes, low, high))
     nodes = distinct if len(distinct) <= len(nodes) else nodes
     if len(nodes) > MOST_KERNELS:
@@ -345,9 +348,7 @@ def plan_depth(
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
     distances = distance_of(optics, nodes, pitch)
-    jumps = [confusion]
     if sheets:
-        jumps = [its for _, _, its in sheets]
         if inner := _inner_error(sheets, light, power):
             predicted["depth, edges inside layers"] = inner
         predicted["depth, if without layers"] = plain
@@ -355,7 +356,8 @@ def plan_depth(
         count = len(sheets)
         model = f"{count} layers that are given; {span}"
         if is_placed:
-            predicted[MIXED] = max(_mixed_error(its, contrast, q, curvature) for its in jumps)
+            errors = [_between_error(its, contrast, q, curvature) for _, _, its in sheets]
+            predicted[BETWEEN] = max(errors)
         return DepthPlan(
             distances, nodes, confusion, layer, count, model, predicted, sheets, groups
         )
@@ -368,7 +370,7 @@ def plan_depth(
     present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)
     layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
     if is_placed:
-        predicted[MIXED] = _mixed_error(confusion, contrast, q, curvature, layer)
+        predicted[BETWEEN] = _between_error(confusion, contrast, q, curvature, layer)
     if layered:
         model = f"{count} layers by depth; {span}"
         predicted["depth, in layers (hidden parts are continued)"] = in_layers
@@ -384,7 +386,7 @@ def plan_depth(
     )
 
 
-def _mixed_error(confusion, contrast, q, curvature, layer=None):
+def _between_error(confusion, contrast, q, curvature, layer=None):
     """Return the relative RMS error by samples between others that get the mean of their circles of confusion.
 
     Of two circles d apart, half of the light each, the mean errs by (d / 2)^2 / 2 times the second

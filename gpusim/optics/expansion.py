@@ -4,8 +4,8 @@ The kernels of a lens at all places and distances lie near a space of few dimens
 has a basis of it, and the coefficients at a grid of places and circles of confusion. A frame is cut
 into tiles. In each, `expand` gives the kernel of every pixel as a sum of few terms: Chebyshev's
 polynomials of the place in the tile, and of the pixel's circle of confusion among those in the tile.
-A term's kernel is a sum of eigen-kernels. So the cost of a tile depends on how much its kernels
-differ, and not on those of the frame. The stage `optics.field` sums all this.
+A term's kernel is a sum of eigen-kernels. So the cost of a tile depends on how much its own kernels
+differ. The stage `optics.field` sums all this.
 
 The kernels are differences from one kernel, of the axis and of one distance, with sums of 0. It holds
 the part that reaches far, and blurs the whole frame.
@@ -24,6 +24,7 @@ from gpusim.optics.field import (
     image_error,
     interpolate,
     moments_of,
+    spread_places,
     weigh,
 )
 from gpusim.optics.lengths import fft_length
@@ -36,9 +37,8 @@ LEAST_TILE = 8  # [pixel] a side
 WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of the place
 TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
 EVEN = 1e-6  # of a flat field: gains nearer to 1 are left out
-CHECKS = (
-    5  # circles of confusion at which polynomials are compared with the kernels, for each degree
-)
+# circles of confusion at which polynomials of degree 0 are compared with the kernels; two more a degree
+CHECKS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +88,11 @@ class KernelSpace:
     def is_varying(self) -> bool:
         """Whether kernels depend on the place."""
         return len(self.powers) > 1
+
+    @property
+    def most_terms(self) -> int:
+        """Most terms of `expand`."""
+        return len(self.powers) * (MOST_DEGREE + 1)
 
     def bytes_of_tiles(self, channels: int) -> int:
         """Memory of the kernels' spectra and the blurred tiles [byte]."""
@@ -252,7 +257,7 @@ def _make_arrays(
 
 
 def _choices(shape, is_uniform):
-    """Yield degrees of the place in tiles, with the largest sides of the tiles [pixel], by their cost."""
+    """Yield degrees of the place in tiles, with the largest sides of the tiles [pixel], the cheapest first."""
     if is_uniform:
         yield 0, None
         return
@@ -266,15 +271,12 @@ def _choices(shape, is_uniform):
 
 
 def _probes(shape):
-    """Places spread evenly over the frame, the additive recurrence of the plastic number, and near corners.
+    """Places spread evenly over the frame, and near corners.
 
     In the middle of a grid's outermost cells splines err most.
     """
-    plastic = 1.324717957244746
-    number = np.arange(PROBES)
-    fractions = np.stack([(0.5 + number / plastic) % 1, (0.5 + number / plastic**2) % 1], axis=1)
     corners = np.array([[0.5 / (rows - 1), 0.5 / (cols - 1)] for rows, cols in GRIDS])
-    return np.floor(np.concatenate([fractions, corners]) * shape)
+    return np.concatenate([spread_places(shape, PROBES), np.floor(corners * shape)])
 
 
 def _eigen_kernels(kernels):
@@ -481,10 +483,7 @@ def expand(made: KernelSpace, confusion: np.ndarray, cover: np.ndarray) -> Terms
         confusion: Circle of confusion of each pixel [pixel], shape (rows, cols).
         cover: Coverage [1], same shape. Where it is 0, the circle of confusion has no effect.
     """
-    low, high = _spans(made.edges, confusion, cover)
-    is_there = np.isfinite(low)
-    low, high = np.where(is_there, low, 0), np.where(is_there, high, 0)
-    middle, half = (low + high) / 2, (high - low) / 2
+    middle, half, is_there = _spans(made.edges, confusion, cover)
     index: list[np.ndarray] = []
     terms: list[tuple[int, int]] = []
     for power, values in enumerate(made.values):
@@ -505,11 +504,8 @@ def expansion_error(made: KernelSpace, surfaces) -> float:
     """
     worst = 0.0
     for cover, confusion in surfaces:
-        low, high = _spans(made.edges, confusion, cover)
-        is_there = np.isfinite(low)
+        middle, half, is_there = _spans(made.edges, confusion, cover)
         if is_there.any():
-            low, high = np.where(is_there, low, 0), np.where(is_there, high, 0)
-            middle, half = (low + high) / 2, (high - low) / 2
             errors = [
                 _polynomials(made, values, middle, half, is_there)[1] for values in made.values
             ]
@@ -518,7 +514,7 @@ def expansion_error(made: KernelSpace, surfaces) -> float:
 
 
 def _spans(edges, confusion, cover):
-    """Return the smallest and the largest circle of confusion that each tile covers; infinite if there is none."""
+    """Return the middle and half the range of each tile's circles of confusion, and whether it covers any pixel."""
     rows, cols = (
         [slice(a, b) for a, b in _inside(edge, size)]
         for edge, size in zip(edges, confusion.shape, strict=True)
@@ -531,7 +527,9 @@ def _spans(edges, confusion, cover):
                 part = part[cover[down, across] != 0]
             low.append(part.min() if part.size else np.inf)
             high.append(part.max() if part.size else -np.inf)
-    return np.array(low), np.array(high)
+    is_there = np.isfinite(low)
+    low, high = np.where(is_there, low, 0), np.where(is_there, high, 0)
+    return (low + high) / 2, (high - low) / 2, is_there
 
 
 def _inside(edge, size):

@@ -474,9 +474,15 @@ def _truth(lens, shape, truth):
 
 
 def _probes(shape):
-    """Pixels spread evenly over the frame: the additive recurrence of the plastic number."""
+    """Pixels at which models are compared with the lens."""
+    count = min(PROBES, max(LEAST_PROBES, shape[0] * shape[1] // (2 * SPACING) ** 2))
+    return spread_places(shape, count)
+
+
+def spread_places(shape, count: int) -> np.ndarray:
+    """Return pixels spread evenly over a frame, (count, 2): the additive recurrence of the plastic number."""
     plastic = 1.324717957244746
-    number = np.arange(min(PROBES, max(LEAST_PROBES, shape[0] * shape[1] // (2 * SPACING) ** 2)))
+    number = np.arange(count)
     fractions = np.stack([(0.5 + number / plastic) % 1, (0.5 + number / plastic**2) % 1], axis=1)
     return np.floor(fractions * shape).astype(int)
 

@@ -325,10 +325,10 @@ class _Steps:
         planes_ = chain.value
         if self.depth is not None:
             assert self.space is not None
-            # planes, results, terms and tiles of each layer
-            terms = 8 * self.samples
+            # planes and results of each layer; terms, of one layer at a time, and tiles
             nbytes = 4 * self.depth.layers * self.samples * (self.count + 6 * self.channels)
-            nbytes += 4 * terms + self.space.bytes_of_tiles(2 * self.channels)
+            nbytes += 4 * self.samples * self.space.most_terms
+            nbytes += self.space.bytes_of_tiles(2 * self.channels)
             is_even = self.grid is not None and self.grid.method == "area" and self.grid.is_even
             names = ("places", "lights", "zoom", "evening" if is_even else "")
             placed = [name and f"{self.prefix}{name}" for name in names if plan.is_placed]

@@ -24,6 +24,7 @@ import functools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -106,10 +107,11 @@ def field(
     if border == "zero":  # no light comes from outside
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
-    padded = blur(
-        *(device, planes, coefficients, tables, kernels.shape[1], sources),
-        *(index, groups, len(order), edges, mix, border, limit, period),
+    it = _Blur(
+        *(planes, coefficients, tables, kernels.shape[1], sources),
+        *(index, groups, edges, mix, border, limit, period),
     )
+    padded = blur(device, it)
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
@@ -142,53 +144,71 @@ def _group(index):
     return [(terms, tiles) for terms, tiles in groups if len(terms)]
 
 
-def _on_device(
-    device,
-    planes,
-    coefficients,
-    tables,
-    own,
-    sources,
-    index,
-    groups,
-    tiles,
-    edges,
-    mix,
-    border,
-    limit,
-    period,
-):
+@dataclass(frozen=True, eq=False)
+class _Blur:
+    """Arguments of `field` on the device, with groups of tiles, the threshold as a number, and the tiles' period."""
+
+    planes: Array
+    coefficients: Array
+    tables: Array
+    own: int
+    sources: np.ndarray
+    index: np.ndarray
+    groups: list
+    edges: list
+    mix: np.ndarray
+    border: str
+    limit: float
+    period: tuple[int, int]
+
+    @property
+    def tiles(self) -> int:
+        """Number of blurred tiles, at least 1."""
+        return max(sum(len(tiles) for _, tiles in self.groups), 1)
+
+
+def _on_device(device, it):
     """Return blurred tiles in the order of the groups, (channels, tiles, *period), by transforms of many at once."""
-    _, rows, cols = planes.shape
-    channels, half = len(mix), tables.shape[2]
-    edges_y, edges_x = (device.array(edge, np.int32) for edge in edges)
-    padded = device.empty((channels, max(tiles, 1), *period))
+    _, rows, cols = it.planes.shape
+    channels, half, period, own = len(it.mix), it.tables.shape[2], it.period, it.own
+    edges_y, edges_x = (device.array(edge, np.int32) for edge in it.edges)
+    padded = device.empty((channels, it.tiles, *period))
     at_once = BATCH_BYTES * (64 if device.is_gpu else 1)
     launch = functools.partial(device.launch, "optics.field")
     first = 0
-    for numbers, members in groups:
+    for numbers, members in it.groups:
         terms, used = len(numbers), device.array(numbers, np.int32)
-        batch = max(1, at_once // (4 * terms * period[0] * period[1]))
+        # the terms' own tables, if kernels are summed
+        each = 4 * terms * period[0] * period[1] * (1 if it.index.ndim == 2 else own)
+        batch = max(1, at_once // each)
         for chosen in np.split(members, range(batch, len(members), batch)):
             size, own_tiles = len(chosen), device.array(chosen, np.int32)
-            if index.ndim == 2:
-                of_tiles, at = tables, index[chosen]
+            if it.index.ndim == 2:
+                of_tiles, at = it.tables, it.index[chosen]
             else:
-                of_tiles = _combine(device, tables, index[chosen][:, numbers], own)
+                of_tiles = _combine(device, it.tables, it.index[chosen][:, numbers], own)
                 at = np.arange(size * terms).reshape(size, terms)
             at, sums, spectra, seen = device.array(at, np.int32), None, None, -1
-            for p, source in enumerate(sources):
+            for p, source in enumerate(it.sources):
                 if source != seen:
                     weighted, seen = device.empty((size * terms, *period)), source
-                    arrays = [planes, coefficients, edges_y, edges_x, own_tiles, used, weighted]
-                    settings = [limit, int(source), BORDERS[border]]
-                    sizes = [rows, cols, len(edges[1]) - 1, terms, *weighted.shape]
+                    arrays = [
+                        it.planes,
+                        it.coefficients,
+                        edges_y,
+                        edges_x,
+                        own_tiles,
+                        used,
+                        weighted,
+                    ]
+                    settings = [it.limit, int(source), BORDERS[it.border]]
+                    sizes = [rows, cols, len(it.edges[1]) - 1, terms, *weighted.shape]
                     launch("weigh", weighted.shape, *arrays, *settings, *sizes)
                     spectra = fft.forward(device, weighted)
                 pitch = spectra.shape[2]
                 if sums is None:
                     sums = device.empty((channels * size, period[0], pitch, 2))
-                arrays = [spectra, of_tiles, at, device.array(mix[:, p]), sums]
+                arrays = [spectra, of_tiles, at, device.array(it.mix[:, p]), sums]
                 settings = [int(p == 0), min(p, own - 1), *warp_only(device, terms, channels)]
                 sizes = [size, period[0], half, pitch, own]
                 grid = (size, period[0], half)
@@ -213,34 +233,22 @@ def _combine(device, tables, weights, own):
     return combined
 
 
-def _on_host(
-    device,
-    planes,
-    coefficients,
-    tables,
-    own,
-    sources,
-    index,
-    groups,
-    tiles,
-    edges,
-    mix,
-    border,
-    limit,
-    period,
-):
+def _on_host(device, it):
     """Return the same, one thread per tile: it stays in a core's cache (a third less time)."""
     import scipy.fft
 
-    padded = device.empty((len(mix), max(tiles, 1), *period))
-    planes, coefficients, out = (device.numpy(values) for values in (planes, coefficients, padded))
-    tables = device.numpy(tables).view(np.complex64)[..., : period[1] // 2 + 1, 0]
+    period, own, edges, limit, mix = it.period, it.own, it.edges, it.limit, it.mix
+    padded = device.empty((len(mix), it.tiles, *period))
+    planes, coefficients, out = (
+        device.numpy(values) for values in (it.planes, it.coefficients, padded)
+    )
+    tables = device.numpy(it.tables).view(np.complex64)[..., : period[1] // 2 + 1, 0]
     _, rows, cols = planes.shape
     reach = [-int(edge[0]) for edge in edges]
-    beyond = [_sources(size, one, border) for size, one in zip((rows, cols), reach, strict=True)]
+    beyond = [_sources(size, one, it.border) for size, one in zip((rows, cols), reach, strict=True)]
     half = period[1] // 2 + 1
     tables = tables.reshape(-1, own, period[0], half)
-    if index.ndim == 3:
+    if it.index.ndim == 3:
         by_kernel = tables.reshape(len(tables), -1).view(np.float32)
 
     def blur(job):
@@ -264,7 +272,7 @@ def _on_host(
         weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
         sums = np.zeros((len(mix), period[0], half), np.complex64)
         spectra, seen = None, -1
-        for p, source in enumerate(sources):
+        for p, source in enumerate(it.sources):
             if source != seen:
                 light, seen = planes[source][place], source
                 if limit < NEVER:
@@ -281,13 +289,13 @@ def _on_host(
 
     first = 0
     with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
-        for used, members in groups:
+        for used, members in it.groups:
             batch = max(HOST_BATCH // (len(used) * tables[0].nbytes), 1)
             for some in np.split(members, range(batch, len(members), batch)):
-                if index.ndim == 2:
-                    chosen = [[tables[kernel] for kernel in index[t]] for t in some]
+                if it.index.ndim == 2:
+                    chosen = [[tables[kernel] for kernel in it.index[t]] for t in some]
                 else:  # one product, with all threads
-                    weights = index[some][:, used].reshape(-1, len(tables))
+                    weights = it.index[some][:, used].reshape(-1, len(tables))
                     chosen = (weights @ by_kernel).view(np.complex64)
                     chosen = chosen.reshape(len(some), len(used), *tables.shape[1:])
                 jobs = [(first + k, t, used, chosen[k]) for k, t in enumerate(some)]

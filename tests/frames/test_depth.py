@@ -596,3 +596,12 @@ def test_flat_fields_are_as_bright_at_every_distance(q, fill, tolerance):
             .mean
         )
         np.testing.assert_allclose(mean, wanted, rtol=1e-4)
+
+
+def test_kernels_stay_within_the_widest_blur():
+    """Nodes of a grid lie beyond the range of a scene; where a lens has no kernels so wide they end at the range."""
+    confusion = np.broadcast_to(np.linspace(-3, 7.3, SIZE)[:, None], (SIZE, SIZE))
+    depth, light = distance_of(LENS, confusion, PITCH), natural(3)
+    assert plan_depth(LENS, PITCH, depth, light).kernels[-1] > 7.31
+    ends = plan_depth(LENS, PITCH, depth, light, widest=7.4).kernels[[0, -1]]
+    np.testing.assert_allclose(ends, confusion[[0, -1], 0], rtol=1e-9)

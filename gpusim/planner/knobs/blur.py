@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter
 
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
+from gpusim.domain.pupil import LONGEST_WAVEFRONT
 from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth
 from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.fusion import SAMPLED_PERIOD
@@ -159,6 +160,7 @@ def by_depth(
         scene=scene,
         curvature=_curvature(question),
         is_placed=placed is not None or not scene.view.is_plain,
+        widest=8 * LONGEST_WAVEFRONT * float(np.min(question.q)),
     )
     for distance in () if question.lens.distance_model else made.distances[[0, -1]]:
         try:
