@@ -15,13 +15,13 @@ from gpusim.kernels.common import fft
 from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import (
     Highlights,
 )
+from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache

@@ -13,7 +13,8 @@ from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan, flatten
-from gpusim.optics.expansion import KernelSpace, expand
+from gpusim.optics.expansion import expand
+from gpusim.optics.kernel_space import KernelSpace
 from gpusim.pipeline.reading import planes, store
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.choices import Blur, Fusion, Planes

@@ -16,7 +16,7 @@ from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.expansion import KernelSpace, expand
+from gpusim.optics.expansion import expand
 from gpusim.optics.geometry import evening, view_nodes
 from gpusim.optics.highlights import (
     PointKernels,
@@ -25,6 +25,7 @@ from gpusim.optics.highlights import (
     mixed_kernels,
     point_kernels,
 )
+from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lens import open_lens
 from gpusim.pipeline.reading import WHOLE, planes, store
 

@@ -15,11 +15,11 @@ from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import Watch
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.highlights import THRESHOLD, TRANSFORM_ERROR, Highlights
+from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.tables import Caching, call_always
 from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Planes, Sampling

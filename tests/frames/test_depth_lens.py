@@ -15,7 +15,7 @@ from gpusim.domain.pupil import Wavefront
 from gpusim.domain.scene import Layer, Scene, View, unit_light
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.expansion import KernelSpace
+from gpusim.optics.kernel_space import KernelSpace
 from gpusim.pipeline.simulator import Simulator
 
 FAST = DEVICES[0]

@@ -11,9 +11,9 @@ from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
 from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth
-from gpusim.optics.expansion import KernelSpace
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
+from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.occlusion import SHARP, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture

@@ -3,7 +3,7 @@
 import numpy as np
 
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.expansion import KernelSpace, expansion_error, make_space
+from gpusim.optics.expansion import expansion_error
 from gpusim.optics.field import (
     Differences,
     FieldBlur,
@@ -13,6 +13,7 @@ from gpusim.optics.field import (
     natural_difference,
 )
 from gpusim.optics.fusion import Response, channel_operator, joint_operator
+from gpusim.optics.kernel_space import KernelSpace, make_space
 from gpusim.planner.question import Question
 
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur without a tolerance

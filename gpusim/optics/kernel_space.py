@@ -1,0 +1,453 @@
+"""Kernels of a lens at all places of a frame and all distances, and how they vary within tiles.
+
+They lie near a space of few dimensions. A `KernelSpace` has a basis of it, and coefficients in tiles of
+the frame: Chebyshev's polynomials of the place, at nodes of the circle of confusion.
+
+The kernels are differences from one kernel, of the axis and of one distance, with sums of 0. It holds
+the part that reaches far, and blurs the whole frame.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy
+
+from gpusim.domain.stored import stored
+from gpusim.optics.field import (
+    Differences,
+    error_scale,
+    image_error,
+    interpolate,
+    moments_of,
+    spread_places,
+    weigh,
+)
+from gpusim.optics.lengths import fft_length
+
+GRIDS = ((5, 7), (9, 13), (15, 25))  # places along rows and columns; each holds those before
+PROBES = 4  # places for the comparison with the lens
+MOST_TERMS = 64
+MOST_DEGREE = 12
+LEAST_TILE = 8  # [pixel] a side
+WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of the place
+TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
+
+
+@dataclass(frozen=True, eq=False)
+class KernelSpace:
+    """Kernels of a lens at all places of a frame and all circles of confusion, and tiles of the frame.
+
+    Attributes:
+        kernels: Eigen-kernels, sums 0, shape (K, planes, m, m).
+        nodes: Circles of confusion [pixel] between which kernels are interpolated, increasing, shape (N,).
+        edges: The tiles' boundaries along rows and columns, see `optics.field`.
+        degrees: Degrees along rows and columns of the polynomials of the place in a tile, pairs; (0, 0) is the first.
+        values: Coefficients of each eigen-kernel times each of them, shape (degrees, tiles, N, K).
+        weights: Square of the relative RMS error of a natural scene for coefficients of 1, shape (K,).
+        even: Flat fields in the planes of coverage, at one distance, shape (channels, tiles, N): in the
+            middle of each tile.
+        even_slopes: Their changes to a tile's sides, along rows and along columns, shape (2, channels, tiles, N).
+        error: Relative RMS error of a natural scene, root mean square and largest.
+        flat: Relative RMS error of flat fields.
+        limit: Relative RMS error of a natural scene that `expand` may make.
+        reference: Number of the node whose kernel on the axis is subtracted.
+    """
+
+    kernels: np.ndarray
+    nodes: np.ndarray
+    edges: tuple[np.ndarray, np.ndarray]
+    degrees: tuple[tuple[int, int], ...]
+    values: np.ndarray
+    weights: np.ndarray
+    even: np.ndarray
+    even_slopes: np.ndarray
+    error: tuple[float, float]
+    flat: float
+    limit: float
+    reference: int
+
+    @property
+    def report(self) -> str:
+        """Line of the report."""
+        m = self.kernels.shape[-1]
+        return (
+            f"expansions by place and distance of {len(self.kernels)} eigen-kernels of {m} x {m} samples in "
+            f"{self.values.shape[1]} tiles: image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst "
+            f"place, {self.flat:.1e} in flat fields"
+        )
+
+    @property
+    def is_varying(self) -> bool:
+        """Whether kernels depend on the place."""
+        return len(self.degrees) > 1
+
+    @property
+    def most_terms(self) -> int:
+        """Most terms of `expand`."""
+        return len(self.degrees) * (MOST_DEGREE + 1)
+
+    def bytes_of_tiles(self, channels: int) -> int:
+        """Memory of the kernels' spectra and the blurred tiles [byte]."""
+        count, planes, m, _ = self.kernels.shape
+        rows, cols = (fft_length(int(np.diff(edge).max()) + m - 1) for edge in self.edges)
+        return (
+            8 * count * planes * rows * (cols // 2 + 1)
+            + 8 * channels * self.values.shape[1] * rows * cols
+        )
+
+
+def make_space(
+    lens, wavelengths, mix, shape, corner, room, limit, distances, nodes, covers, levels, flat_limit
+) -> KernelSpace:
+    """Return the kernels of a lens at the distances of the nodes.
+
+    Args:
+        lens: The lens in front of the planes' samples.
+        wavelengths: [nm], shape (L,).
+        mix: Weight of each wavelength in each plane, shape (planes, L).
+        shape: (rows, cols) of the planes.
+        corner: Distance of the frame's corner from the middle [pixel].
+        room: Relative RMS error of a natural scene by the end of the kernels.
+        limit: Relative RMS error of a natural scene.
+        distances: Of the nodes [m].
+        nodes: Circles of confusion [pixel].
+        covers: How many planes, the last ones, are coverage.
+        levels: Strength of each plane in flat fields.
+        flat_limit: Relative RMS error of flat fields.
+
+    Raises:
+        OutOfRange: The kernels are too wide.
+    """
+    nodes = np.asarray(nodes, np.float64)
+    reference = int(np.abs(nodes).argmin())
+    basis, down, across, degrees, values, weights, even, even_slopes, rms, most, flat = (
+        _make_arrays(
+            lens,
+            np.asarray(wavelengths),
+            mix,
+            tuple(shape),
+            corner,
+            room,
+            limit,
+            np.asarray(distances),
+            reference,
+            covers,
+            np.asarray(levels),
+            flat_limit,
+        )
+    )
+    return KernelSpace(
+        basis,
+        nodes,
+        (down, across),
+        tuple(map(tuple, degrees.tolist())),
+        values,
+        weights,
+        even,
+        even_slopes,
+        (rms, most),
+        flat,
+        limit / 2,
+        reference,
+    )
+
+
+@stored
+def _make_arrays(
+    lens,
+    wavelengths,
+    mix,
+    shape,
+    corner,
+    room,
+    limit,
+    distances,
+    reference,
+    covers,
+    levels,
+    flat_limit,
+):
+    """Return the arrays and numbers of a `KernelSpace`, see `make_space`."""
+    circles = len(distances)
+    differences = Differences(
+        lens, wavelengths, mix, shape, corner, room, tuple(distances), distances[reference]
+    )
+    m, planes = differences.size, len(mix)
+
+    def kernels_at(places):
+        found = differences(places)
+        return found.reshape(len(places) * circles, planes, m, m)
+
+    is_uniform = lens.is_uniform
+    probes, wanted = np.empty((0, 2)), None
+    if not is_uniform:
+        probes = _probes(shape)
+        wanted = kernels_at(probes)
+    for grid in ((1, 1),) if is_uniform else GRIDS:
+        axes = [
+            np.linspace(0, size - 1, min(count, size)) if count > 1 else np.array([(size - 1) / 2])
+            for size, count in zip(shape, grid, strict=True)
+        ]
+        places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        found = kernels_at(places)
+        basis, coefficients, left = _eigen_kernels(found)
+        shading = _Shading(axes, moments_of(found), levels)
+        held = int(np.argmax(left <= limit / 2)) + 1 if (left <= limit / 2).any() else len(left)
+        uneven = shading.error(basis[:held], coefficients[:, :held])
+        while uneven > flat_limit / 2 and held < len(basis):
+            held += 1 + held // 8
+            uneven = shading.error(basis[:held], coefficients[:, :held])
+        basis, coefficients, left = basis[:held], coefficients[:, :held], float(left[:held][-1])
+        coefficients = coefficients.reshape(len(places), -1)
+        error = (left, left)
+        if is_uniform:
+            break
+        between = _at(axes, coefficients, probes).reshape(len(wanted), -1)
+        more = image_error(np.tensordot(between, basis, 1), wanted)
+        error = float(np.hypot(left, more[0])), float(np.hypot(left, more[1]))
+        uneven = float(
+            np.hypot(uneven, shading.error_between(np.tensordot(between, basis, 1), wanted))
+        )
+        if error[0] <= limit and uneven <= flat_limit / 2:
+            break
+    weights = _weights(basis)
+    moments = moments_of(basis)  # (K, planes, 5)
+    for degree, largest in _choices(shape, is_uniform):
+        edges = _tiles(shape, m, largest)
+        degrees, values, rest, jumps = _in_tiles(edges, shape, axes, coefficients, circles, degree)
+        left_out = float(np.sqrt((rest**2 @ weights).mean()))
+        # light that moves or widens differently on both sides of an edge between tiles: a line, and two of half
+        lines = 0.0
+        for axis, (jump, edge) in enumerate(zip(jumps, edges, strict=True)):
+            if jump.size:
+                moved, widened = jump @ moments[..., axis], jump @ moments[..., 2 + axis]
+                square = (moved**2 + widened**2 / 2) @ np.square(levels)
+                lines += float(square.mean() / np.diff(edge).max())
+        lines = float(np.sqrt(lines))
+        if left_out <= limit / 2 and lines <= flat_limit / 2:
+            break
+    even, even_slopes = _flat_fields(
+        edges, shape, axes, coefficients, moments[:, planes - covers :], circles
+    )
+    left = float(np.hypot(error[0], left_out)), float(np.hypot(error[1], left_out))
+    flat = float(np.hypot(lines, uneven))
+    return basis, *edges, np.array(degrees), values, weights, even, even_slopes, *left, flat
+
+
+def _choices(shape, is_uniform):
+    """Yield degrees of the place in tiles, with the largest sides of the tiles [pixel], the cheapest first."""
+    if is_uniform:
+        yield 0, None
+        return
+    largest = max(max(shape) // TILES_ACROSS, WIDE_TILE)
+    sides = [largest]
+    while sides[-1] > LEAST_TILE:
+        sides.append(max(int(sides[-1] / 1.5), LEAST_TILE))
+    for degree in (1, 2, 3):
+        yield from ((degree, side) for side in sides if side >= WIDE_TILE)
+    yield from ((3, side) for side in sides if side < WIDE_TILE)
+
+
+def _probes(shape):
+    """Places spread evenly over the frame, and near corners.
+
+    In the middle of a grid's outermost cells splines err most.
+    """
+    corners = np.array([[0.5 / (rows - 1), 0.5 / (cols - 1)] for rows, cols in GRIDS])
+    return np.concatenate([spread_places(shape, PROBES), np.floor(corners * shape)])
+
+
+def _eigen_kernels(kernels):
+    """Return a basis of kernels (n, planes, m, m), their coefficients (n, K), and errors by 1 .. K of it."""
+    gram = np.zeros((len(kernels), len(kernels)))
+    for plane in range(kernels.shape[1]):
+        spectra = weigh(kernels[:, plane]).reshape(len(kernels), -1)
+        gram += spectra @ spectra.T
+    variances, vectors = np.linalg.eigh(gram)
+    variances, vectors = np.maximum(variances[::-1], 0), vectors[:, ::-1]
+    left = np.sqrt(np.maximum(variances.sum() - np.cumsum(variances), 0) / kernels[:, :, 0, 0].size)
+    left *= error_scale(kernels.shape[-1])
+    # below the rounding of the Gram matrix a vector is noise
+    most = max(int(np.count_nonzero(variances > 1e-14 * max(variances[0], 1e-300))), 1)
+    most = min(most, MOST_TERMS)
+    vectors, left = vectors[:, :most], left[:most]
+    return np.tensordot(vectors.T, kernels, 1), vectors, left
+
+
+class _Shading:
+    """Errors of flat fields by kernels at the places of a grid, see `gpusim.optics.field.FlatField`.
+
+    moments: of the right kernels, (places times N, planes, 5). levels: strength of each plane.
+    """
+
+    def __init__(self, axes, moments, levels):
+        self._axes, self._moments, self._levels = axes, moments, np.asarray(levels)
+
+    def error(self, basis, coefficients) -> float:
+        """Return the relative RMS error of flat fields by a basis with coefficients."""
+        counts = [len(axis) for axis in self._axes]
+        if max(counts) == 1:
+            return 0.0
+        wrong = np.tensordot(coefficients, moments_of(basis), 1) - self._moments
+        wrong = wrong.reshape(*counts, -1, *wrong.shape[1:])
+        total = np.zeros(wrong.shape[:-1])
+        for axis, count in enumerate(counts):
+            if count > 1:
+                total -= np.gradient(wrong[..., axis], self._axes[axis], axis=axis)
+        return float(np.sqrt(np.square(total).mean(axis=(0, 1, 2)) @ self._levels**2))
+
+    def error_between(self, kernels, wanted) -> float:
+        """Return the relative RMS error of flat fields by kernels between the grid's places (n, planes, m, m).
+
+        Errors of interpolation change their sign from one cell of the grid to the next.
+        """
+        wrong, square = moments_of(kernels) - moments_of(wanted), 0.0
+        for axis, at in enumerate(self._axes):
+            if len(at) > 1:
+                slope = np.pi / (at[1] - at[0]) * wrong[..., axis]
+                square += np.square(slope).mean(axis=0) @ self._levels**2
+        return float(np.sqrt(square))
+
+
+def _weights(basis):
+    """Return the squares of the relative RMS errors of a natural scene by eigen-kernels, which are orthogonal."""
+    squares = np.square(weigh(basis)).sum(axis=(2, 3)).mean(axis=1)
+    return error_scale(basis.shape[-1]) ** 2 * squares
+
+
+def _at(axes, coefficients, places):
+    """Return coefficients (grid places, n) between the places of a grid, at others (p, 2): (p, n)."""
+    if len(axes[0]) == len(axes[1]) == 1:
+        return np.repeat(coefficients, len(places), axis=0)
+    return interpolate(axes, coefficients, places[:, 0], places[:, 1], grid=False).T
+
+
+def _tiles(shape, m, largest):
+    """Return boundaries of tiles along rows and columns that cost least, see `optics.field`."""
+    found = []
+    for size in shape:
+        best = None
+        for count in range(1, max(size // LEAST_TILE, 1) + 1):
+            edges = _edges(size, m // 2, count)
+            inner = np.diff(np.clip(edges, 0, size)).max()
+            if (
+                largest is not None
+                and inner > max(largest, LEAST_TILE)
+                and count < size // LEAST_TILE
+            ):
+                continue
+            period = fft_length(int(np.diff(edges).max()) + m - 1)
+            # transforms, and the sums of kernels, which miss the caches if they are large
+            cost = count * period * (np.log2(max(period, 2)) + 8 + period / 64)
+            if best is None or cost < best[0]:
+                best = cost, edges
+        found.append(best[1])
+    return tuple(found)
+
+
+def _edges(size, reach, count):
+    """Return boundaries of tiles of similar sides, each of which holds pixels of the frame; see `optics.field`."""
+    inner = max((size + 2 * reach) / count - reach, min(4.0, size / count))
+    between = (
+        np.linspace(inner, size - inner, count - 1) if count > 2 else np.full(count - 1, size / 2)
+    )
+    return np.unique(np.round([-reach, *between, size + reach]).astype(int))
+
+
+def middles_of(edges, shape):
+    """Middle and half side of each tile within the frame, along rows and columns: pairs of arrays."""
+    found = []
+    for edge, size in zip(edges, shape, strict=True):
+        inner = np.clip(edge, 0, size - 1).astype(np.float64)
+        inner[1:-1] -= 0.5  # sides are between pixels
+        found.append(((inner[:-1] + inner[1:]) / 2, np.maximum((inner[1:] - inner[:-1]) / 2, 0.5)))
+    return found
+
+
+def _in_tiles(edges, shape, axes, coefficients, count, degree):
+    """Return polynomials of the place in the tiles.
+
+    Returns:
+        Their degrees, their values, see `KernelSpace`, what they leave out of the coefficients (n, K), and how these
+        jump across the edges between tiles, of rows and of columns.
+    """
+    (y, down), (x, across) = middles_of(edges, shape)
+    tiles, kernels = len(y) * len(x), coefficients.shape[1] // count
+
+    def at(dy, dx):
+        rows = np.clip(y + dy * down, 0, shape[0] - 1)
+        cols = np.clip(x + dx * across, 0, shape[1] - 1)
+        places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+        return _at(axes, coefficients, places).reshape(tiles, count, kernels)
+
+    nodes = np.cos(np.pi * (np.arange(degree + 1) + 0.5) / (degree + 1))
+    known = np.stack([at(dy, dx) for dy in nodes for dx in nodes])
+    known = known.reshape(degree + 1, degree + 1, *known.shape[1:])
+    solve = chebyshev_solver(degree)
+    every = np.einsum("ai,bj,ijtnk->abtnk", solve, solve, known)
+    degrees = tuple((a, own - a) for own in range(degree + 1) for a in range(own, -1, -1))
+    values = np.stack([every[a, b] for a, b in degrees])
+
+    def made(dy, dx):
+        return sum(
+            chebyshev(a, dy) * chebyshev(b, dx) * value
+            for (a, b), value in zip(degrees, values, strict=True)
+        )
+
+    if not degree:
+        return degrees, values, np.zeros((1, kernels)), (np.zeros(0), np.zeros(0))
+    checks = [(dy, dx) for dy in (-1, -0.5, 0, 0.5, 1) for dx in (-1, 0, 0.5, 1)]
+    rest = np.concatenate([(at(*one) - made(*one)).reshape(-1, kernels) for one in checks])
+    grid = (len(y), len(x), count, kernels)
+    low_y, high_y, low_x, high_x = (
+        made(*one).reshape(grid) for one in ((-1, 0), (1, 0), (0, -1), (0, 1))
+    )
+    return degrees, values, rest, (high_y[:-1] - low_y[1:], high_x[:, :-1] - low_x[:, 1:])
+
+
+def chebyshev_solver(degree: int) -> np.ndarray:
+    """Return the matrix from values at Chebyshev's nodes to coefficients of his polynomials."""
+    at = np.arange(degree + 1)
+    solve = np.cos(at[:, None] * np.pi * (at + 0.5) / (degree + 1)) * 2 / (degree + 1)
+    solve[0] /= 2
+    return solve
+
+
+def chebyshev(degree, at):
+    """Return Chebyshev's polynomial of a degree, in a range of -1 .. 1."""
+    return np.cos(degree * np.arccos(np.clip(at, -1, 1)))
+
+
+def _flat_fields(edges, shape, axes, coefficients, moments, count):
+    """Return flat fields in the tiles' middles, (channels, tiles, N), and their slopes: see `KernelSpace`."""
+    channels, kernels = moments.shape[1], len(moments)
+    (y, down), (x, across) = middles_of(edges, shape)
+    tiles = len(y) * len(x)
+    if coefficients.shape[0] == 1:
+        return np.ones((channels, tiles, count)), np.zeros((2, channels, tiles, count))
+    fine = [
+        np.linspace(0, size - 1, min(4 * len(axis), size))
+        for size, axis in zip(shape, axes, strict=True)
+    ]
+    places = np.stack(np.meshgrid(*fine, indexing="ij"), axis=-1).reshape(-1, 2)
+    made = _at(axes, coefficients, places).reshape(*map(len, fine), count, kernels)
+    moment = np.tensordot(made, moments, 1)  # (rows, cols, N, channels, 5)
+
+    def slope(values, axis):
+        if len(fine[axis]) < 2:
+            return np.zeros_like(values)
+        return np.gradient(values, fine[axis], axis=axis)
+
+    dy, dx, yy, xx, yx = np.moveaxis(moment, -1, 0)
+    flat = 1 - slope(dy, 0) - slope(dx, 1)
+    flat += slope(slope(yy, 0), 0) / 2 + slope(slope(xx, 1), 1) / 2 + slope(slope(yx, 1), 0)
+    flat = np.moveaxis(flat, -1, 2).reshape(len(places), channels * count)
+    by_place = scipy.interpolate.RegularGridInterpolator(fine, flat.reshape(*map(len, fine), -1))
+
+    def at(dy, dx):
+        rows = np.clip(y + dy * down, 0, shape[0] - 1)
+        cols = np.clip(x + dx * across, 0, shape[1] - 1)
+        at_places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
+        return by_place(at_places).T.reshape(channels, count, tiles).swapaxes(1, 2)
+
+    return at(0, 0), np.stack([(at(1, 0) - at(-1, 0)) / 2, (at(0, 1) - at(0, -1)) / 2])
