@@ -263,7 +263,7 @@ def divide(light: np.ndarray, share: np.ndarray) -> np.ndarray:
 def _flow(light, share, axis):
     """Return the sine series of the share times the light's derivative along an axis, between the samples.
 
-    The derivative is that of the cosine series through the samples.
+    The derivative is of the cosine series through the samples.
     """
     n = light.shape[axis]
     found = np.zeros(light.shape)

@@ -3,7 +3,7 @@
 The world is a floor, boxes and a far wall. A renderer's file is its picture from the middle of the
 pupil, with a distance at each sample. The truth shares nothing with it: rays from points of a pixel
 go through points of the pupil and the plane in focus to the first surface that they meet. OpenCV
-undistorts the pixels. Diffraction is that of a circle in focus.
+undistorts the pixels. Diffraction is of a circle in focus.
 """
 
 from dataclasses import dataclass, replace
@@ -99,7 +99,7 @@ def trace(start, slope, contrast):
 def rendered(ratio, contrast, fine=8):
     """Picture and depth of a pinhole in the pupil's middle, with `ratio` samples a pixel and a margin.
 
-    Light is the mean of fine x fine rays a sample, as of a box filter; distance is that of the middle.
+    Light is the mean of fine x fine rays a sample, as of a box filter; distance is the distance of the middle.
     """
     rows, cols = ratio * (HEIGHT + 2 * MARGIN), ratio * (WIDTH + 2 * MARGIN)
 
