@@ -108,9 +108,9 @@ def field(
         edges = [np.clip(edge, 0, size) for edge, size in zip(edges, (rows, cols), strict=True)]
     blur = _on_host if device.on_host and len(index) >= HOST_TILES else _on_device
     it = _Blur(
-        *(planes, coefficients, tables, kernels.shape[1], sources),
-        *(index, groups, edges, mix, border, limit, period),
-    )
+        planes, coefficients, tables, kernels.shape[1], sources, index, groups,
+        edges, mix, border, limit, period,
+    )  # fmt: skip
     padded = blur(device, it)
     # the frame's pixels are counted without the margin from here on
     edges_y, edges_x = (device.array(np.asarray(edge) - margin, np.int32) for edge in edges)
@@ -155,7 +155,7 @@ class _Blur:
     sources: np.ndarray
     index: np.ndarray
     groups: list
-    edges: list
+    edges: Sequence[np.ndarray]
     mix: np.ndarray
     border: str
     limit: float
