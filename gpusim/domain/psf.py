@@ -1,22 +1,26 @@
 """Point spreads that are given as arrays."""
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import scipy
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.interpolation import node_weights
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import is_increasing
+
+DIOPTRES = 1e-9  # [1/m] by which a distance may miss those that are given
 
 
 @dataclass(frozen=True, eq=False)
 class PointSpread:
-    """Measured or ray-traced point spread functions: one per wavelength and field point.
+    """Measured or ray-traced point spread functions: one per wavelength, field point and distance.
 
     Each has energy 1. `np.asarray` returns the values. Between field points and wavelengths the
-    spread is linear.
+    spread is linear; between distances it is a cubic of 1 / distance through the nearest four.
 
     Attributes:
         wavelengths: [nm], increasing, shape (L,).
@@ -31,6 +35,9 @@ class PointSpread:
             the same at every angle.
         grid: Or the field points' rows and columns, in the same unit, two rising lists of Y and
             X: values (Y, X, L, rows, cols).
+        distances: Distances of the objects [m], rising, the last one may be infinite, shape (D,):
+            D is then the first axis of the values. None: blur at other distances is a model, see
+            `gpusim.optics.lens.MeasuredLens`.
 
     Raises:
         BadData: The arrays do not fit one another.
@@ -43,6 +50,7 @@ class PointSpread:
     integrated: bool = False
     heights: np.ndarray | None = None
     grid: tuple | None = None
+    distances: np.ndarray | None = None
     _axes: tuple = field(init=False, repr=False, default=())
 
     __repr__ = short_repr
@@ -71,11 +79,23 @@ class PointSpread:
                 "point spread: energies of pixels do not turn with the field, as square pixels do not; give "
                 "samples of the irradiance, or a grid of field points"
             )
+        if self.distances is not None:
+            distances = np.asarray(self.distances, np.float64)
+            object.__setattr__(self, "distances", distances)
+            with np.errstate(divide="ignore"):
+                dioptres = 1 / distances
+            if distances.ndim != 1 or len(distances) < 2 or not is_increasing(-dioptres):
+                raise BadData(
+                    f"point spread: wanted two or more distances [m], increasing, got {distances}"
+                )
+            if not distances[0] > 0:
+                raise OutOfRange("point spread distance", f"{distances[0]:g} m", "positive")
         if not is_increasing(wavelengths):
             raise BadData(
                 f"point spread: wanted increasing wavelengths, got {wavelengths.ravel()[:4]} ..."
             )
-        wanted = (*map(len, axes), len(wavelengths))
+        given = axes if self.distances is None else [self.distances, *axes]
+        wanted = (*map(len, given), len(wavelengths))
         if (
             values.ndim != len(wanted) + 2
             or not values.size
@@ -104,23 +124,72 @@ class PointSpread:
         object.__setattr__(self, "values", values / sums[..., None, None])
         object.__setattr__(self, "_axes", tuple(axes))
 
-    def at(self, y: float, x: float) -> np.ndarray:
+    @classmethod
+    def by_distance(cls, spreads: Mapping[float, "PointSpread"]) -> "PointSpread":
+        """Return the point spreads of several distances as one.
+
+        Args:
+            spreads: Those of each distance [m]. They have the same wavelengths, field points and
+                spacing; smaller ones are surrounded with 0.
+
+        Returns:
+            Point spreads with an axis of distance.
+
+        Raises:
+            BadData: They do not fit one another.
+        """
+        distances = sorted(spreads)
+        every = [spreads[distance] for distance in distances]
+        if len(every) < 2 or any(one.distances is not None for one in every):
+            raise BadData("point spreads by distance: wanted those of two or more single distances")
+        first = every[0]
+        for one, distance in zip(every, distances, strict=True):
+            same = [
+                np.array_equal(first.wavelengths, one.wavelengths),
+                np.isclose(first.spacing, one.spacing, rtol=1e-9, atol=0),
+                first.integrated == one.integrated,
+                (first.heights is None, first.grid is None)
+                == (one.heights is None, one.grid is None),
+                len(first._axes) == len(one._axes)
+                and all(map(np.array_equal, first._axes, one._axes)),
+                all(
+                    (a - b) % 2 == 0
+                    for a, b in zip(first.values.shape, one.values.shape, strict=True)
+                ),
+            ]
+            if not all(same):
+                names = "wavelengths", "spacing", "integrated", "heights or grid", "field points"
+                wrong = (*names, "parity of rows and columns")[same.index(False)]
+                raise BadData(
+                    f"point spreads at {distances[0]:g} and {distance:g} m differ in: {wrong}"
+                )
+        size = np.max([one.values.shape[-2:] for one in every], axis=0)
+        values = []
+        for one in every:
+            around = [
+                ((n - own) // 2,) * 2 for n, own in zip(size, one.values.shape[-2:], strict=True)
+            ]
+            values.append(np.pad(one.values, [(0, 0)] * (one.values.ndim - 2) + around))
+        return replace(first, values=np.stack(values), distances=np.array(distances, np.float64))
+
+    def at(self, y: float, x: float, distance: float = np.inf) -> np.ndarray:
         """Return the point spreads of one field point.
 
         Args:
             y: Row of the field point, 1 the frame's corner.
             x: Column of the field point.
+            distance: Of the object [m]; without effect if no distances are given.
 
         Returns:
             Values, shape (L, rows, cols).
 
         Raises:
-            OutOfRange: The point is outside the field points given.
+            OutOfRange: The point is outside the field points given, or the distance outside the distances.
         """
+        spreads = self._at_distance(distance)
         if not self._axes:
-            return self.values
+            return spreads
         point = (y, x) if self.grid else (np.hypot(y, x),)
-        spreads = self.values
         for axis, place in zip(self._axes, point, strict=True):
             if not axis[0] - 1e-9 <= place <= axis[-1] + 1e-9:
                 raise OutOfRange(
@@ -141,3 +210,19 @@ class PointSpread:
             [scipy.ndimage.map_coordinates(one, from_, order=3, mode="constant") for one in spreads]
         )
         return turned / turned.sum(axis=(1, 2), keepdims=True)
+
+    def _at_distance(self, distance):
+        """Return the values at a distance [m], without the axis of distances."""
+        if self.distances is None:
+            return self.values
+        with np.errstate(divide="ignore"):
+            nodes, at = -1 / self.distances, -1 / np.float64(distance)
+        if not nodes[0] - DIOPTRES <= at <= nodes[-1] + DIOPTRES:
+            raise OutOfRange(
+                "point spread distance",
+                f"{distance:.4g} m",
+                f"{self.distances[0]:g} .. {self.distances[-1]:g} m, the distances that are given",
+            )
+        weights = node_weights(nodes, np.clip(at, nodes[0], nodes[-1])[None])[0]
+        used = np.flatnonzero(weights)
+        return np.tensordot(weights[used], self.values[used], 1)

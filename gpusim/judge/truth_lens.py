@@ -48,7 +48,7 @@ def require_truth(camera, scene):
         allowed = "1 sample per pixel, or samples of the irradiance"
         raise OutOfRange("verify", f"{samples} with measured energies of pixels", allowed)
     if scene.depth is not None and has_psf:
-        what = "depth with point spreads that were measured at one distance"
+        what = "depth with measured point spreads"
         raise OutOfRange("verify", what, "a scene without depth, or a lens with a pupil")
     if optics.varies and has_psf and any(axis := axis_of(camera, scene.shape)):
         off = f"{axis[0]:.3g}, {axis[1]:.3g} pixels off the frame's middle"
@@ -69,7 +69,7 @@ def transfer_of(optics: Optics, wavelength, pitch):
         includes the pixels.
     """
     if optics.psf is not None:
-        return _measured(optics.psf, wavelength, pitch)
+        return _measured(optics.psf, wavelength, pitch, optics.object_distance)
     q = wavelength * 1e-9 * optics.working_f_number / pitch
     waves = optics.waves(np.array([wavelength]))
     if optics.is_ideal:
@@ -93,12 +93,13 @@ def transfer_of(optics: Optics, wavelength, pitch):
     return transfer, 1 / q
 
 
-def _measured(spread, wavelength, pitch):
+def _measured(spread, wavelength, pitch, distance):
     """Return the same for a given point spread.
 
     Its samples are of a function without frequencies beyond half the sampling rate.
     """
-    values, step = spread_at(spread, [wavelength])[0], spread.spacing / pitch
+    values = spread_at(spread, [wavelength], distance=distance)[0]
+    step = spread.spacing / pitch
     along = [np.arange(n) - (n - 1) / 2 for n in values.shape]
 
     def transfer(fy, fx):

@@ -20,6 +20,7 @@ from scipy.special import jv
 from gpusim.domain.account import Bound
 from gpusim.domain.content import Basis, Cube
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.interpolation import stencil
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
@@ -29,6 +30,7 @@ from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
 
 MOST_KERNELS = 64
 BETWEEN = "depth, distances between displaced samples"
+NODE = 1e-6  # [pixel] by which circles of confusion may miss those known
 SAME = 0.02  # [pixel] between circles of confusion that count as one, for layers in focus
 TOLERANCE = 1e-4  # relative root mean square error by default
 
@@ -280,6 +282,7 @@ def plan_depth(
     curvature: tuple[float, float] = (0.0, 0.0),
     is_placed: bool = False,
     widest: float = np.inf,
+    known: np.ndarray | None = None,
 ) -> DepthPlan:
     """Choose kernels and layers for one picture.
 
@@ -296,10 +299,11 @@ def plan_depth(
             smallest and the largest.
         is_placed: Whether the lens or a view displaces samples.
         widest: Largest circle of confusion of which a lens has kernels [pixel].
+        known: Distances of which a lens has kernels, increasing [m]; between them cubics are right. None: any.
 
     Raises:
         BadData: The depth map does not fit.
-        OutOfRange: A distance has no image, or there are too many kernels.
+        OutOfRange: A distance has no image or lies outside those known, or there are too many kernels.
     """
     tolerance = tolerance or TOLERANCE
     depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
@@ -320,17 +324,14 @@ def plan_depth(
     contrast = np.sqrt(change / power)
     q = 550e-9 * optics.working_f_number / pitch
     distinct = np.unique(every)
-    nodes = (
-        distinct
-        if len(distinct) <= 4
-        else kernel_nodes(low, high, contrast, tolerance / 4, q, curvature)
-    )
-    # a node beyond the nearest or farthest object may have no image, or too wide a blur
-    ends = distance_of(optics, nodes[[0, -1]], pitch)
-    has_image = ends[0] > optics.focal_length and 0 < ends[1] < np.inf
-    if not has_image or np.abs(nodes).max() > widest:
-        nodes = np.unique(np.clip(nodes, low, high))
-    nodes = distinct if len(distinct) <= len(nodes) else nodes
+    if known is None:
+        nodes = _choose_nodes(
+            optics, pitch, distinct, contrast, tolerance / 4, q, curvature, widest
+        )
+        distances = distance_of(optics, nodes, pitch)
+    else:
+        distances = _neighbours(known, optics, pitch, low, high)
+        nodes = circle_of_confusion(optics, distances, pitch)
     if len(nodes) > MOST_KERNELS:
         raise OutOfRange(
             "depth",
@@ -343,11 +344,10 @@ def plan_depth(
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {
         "depth, kernels between those computed": float(
-            contrast * _remainder(nodes, every, q, curvature)
+            contrast * _remainder(nodes, every, q, curvature) if known is None else 0
         ),
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
-    distances = distance_of(optics, nodes, pitch)
     if sheets:
         if inner := _inner_error(sheets, light, power):
             predicted["depth, edges inside layers"] = inner
@@ -384,6 +384,36 @@ def plan_depth(
     return DepthPlan(
         distances, nodes, confusion, layer, count, model, predicted, (), groups, mixed=mixed
     )
+
+
+def _choose_nodes(optics, pitch, distinct, contrast, tolerance, q, curvature, widest):
+    """Return circles of confusion between which kernels are interpolated: few, or those that a scene has."""
+    low, high = distinct[[0, -1]]
+    if len(distinct) <= 4:
+        return distinct
+    nodes = kernel_nodes(low, high, contrast, tolerance, q, curvature)
+    # a node beyond the nearest or farthest object may have no image, or too wide a blur
+    ends = distance_of(optics, nodes[[0, -1]], pitch)
+    has_image = ends[0] > optics.focal_length and 0 < ends[1] < np.inf
+    if not has_image or np.abs(nodes).max() > widest:
+        nodes = np.unique(np.clip(nodes, low, high))
+    return distinct if len(distinct) <= len(nodes) else nodes
+
+
+def _neighbours(known, optics, pitch, low, high):
+    """Return the known distances from which kernels of circles of confusion are interpolated. Raises OutOfRange."""
+    circles = circle_of_confusion(optics, known, pitch)
+    if low < circles[0] - NODE or high > circles[-1] + NODE:
+        ends = distance_of(optics, np.array([low, high]), pitch)
+        raise OutOfRange(
+            "depth",
+            "{:.4g} .. {:.4g} m".format(*ends),
+            f"{known[0]:g} .. {known[-1]:g} m, the distances of the point spreads",
+        )
+    first = np.searchsorted(circles, low, "right") - 2
+    last = np.searchsorted(circles, high) + 2  # and one more: a stencil has two on each side
+    first = max(min(first, len(known) - 4), 0)
+    return known[first : max(last, first + 4)]
 
 
 def _between_error(confusion, contrast, q, curvature, layer=None):
@@ -524,13 +554,6 @@ def _node_scale(q, curvature):
     density = _worst_derivative(4, circles, q, curvature) ** 0.25
     density = np.maximum(density, _worst_derivative(4, -circles, q, curvature) ** 0.25)
     return circles, np.append(0, np.cumsum(np.diff(circles) * (density[1:] + density[:-1]) / 2))
-
-
-def stencil(nodes, confusion):
-    """First of the neighbouring nodes from which each value is interpolated, and how many they are: 4, or the one."""
-    count = min(4, len(nodes))
-    first = np.searchsorted(nodes, confusion, "right") - count // 2
-    return np.clip(first, 0, len(nodes) - count), count
 
 
 def _remainder(nodes, confusion, q, curvature=(0.0, 0.0)):

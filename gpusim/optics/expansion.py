@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.optics.depth import stencil
+from gpusim.domain.interpolation import node_weights
 from gpusim.optics.kernel_space import (
     MOST_DEGREE,
     KernelSpace,
@@ -101,20 +101,6 @@ def _inside(edge, size):
     """Return first and last pixel of the frame, plus 1, whose light is in each tile; beyond the frame the outermost."""
     first = np.clip(edge[:-1], 0, size - 1)
     return list(zip(first, np.maximum(np.clip(edge[1:], 0, size), first + 1), strict=True))
-
-
-def node_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Return weights by which values at nodes (N,) are interpolated by cubics, at points of any shape: (..., N)."""
-    first, count = stencil(nodes, at)
-    out = np.zeros((*at.shape, len(nodes)))
-    for own in range(count):
-        weight = np.ones(at.shape)
-        for other in range(count):
-            if other != own:
-                apart = nodes[first + own] - nodes[first + other]
-                weight = weight * (at - nodes[first + other]) / apart
-        np.put_along_axis(out, (first + own)[..., None], weight[..., None], axis=-1)
-    return out
 
 
 def _polynomials(made, values, middle, half, is_there):

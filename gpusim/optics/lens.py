@@ -145,6 +145,10 @@ class Lens(Protocol):
         """Why the blur does not follow the distance of objects, in words; "" if it does."""
 
     @property
+    def distances(self) -> np.ndarray | None:
+        """Distances [m] of which the lens has kernels, increasing; None: any."""
+
+    @property
     def distance_model(self) -> str:
         """How the blur follows the distance, in words, if that is a model whose error is not known; else ""."""
 
@@ -272,6 +276,7 @@ class _OnGrid:
 
     is_pointlike = False
     is_adjustable = True
+    distances = None
     distance_model = ""
 
     @property
@@ -547,11 +552,22 @@ class MeasuredLens(_OnGrid):
     is_airy = is_adjustable = False
     tail = None
     fixed_distance = ""
-    distance_model = (
-        "point spreads that were measured at one distance are convolved with the disc by which a thin lens of their "
-        "f-number is out of focus at another"
-    )
     symmetry = Symmetry(False, False)
+
+    @property
+    def distances(self) -> np.ndarray | None:  # type: ignore[override]  # a setting of other lenses
+        """See `Lens`."""
+        return self.spread_data.distances
+
+    @property
+    def distance_model(self) -> str:  # type: ignore[override]
+        """See `Lens`."""
+        if self.distances is not None:
+            return ""
+        return (
+            "point spreads that were measured at one distance are convolved with the disc by which a thin lens of "
+            "their f-number is out of focus at another"
+        )
 
     @property
     def wavelengths(self) -> tuple[float, float]:
@@ -567,7 +583,7 @@ class MeasuredLens(_OnGrid):
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`. Raises OutOfRange if the measured spread is larger than `size` samples."""
         place = tuple(np.clip(place, np.negative(self.corner), self.corner).tolist())
-        tables = self._defocus(self._tables(wavelengths, size, size, place=place), size, distance)
+        tables = self._tables(wavelengths, size, size, distance, place=place)
         kernels = np.fft.irfft2(tables.view(np.complex128), (size, size))
         kernels = np.fft.fftshift(kernels, axes=(1, 2))
         return kernels / kernels.sum(axis=(1, 2), keepdims=True)
@@ -589,26 +605,22 @@ class MeasuredLens(_OnGrid):
         """See `Lens`."""
         finest = float(q.min()) * self.pitch / 2 if stages.whole else 0.0
         wavelengths = self.nanometres(q)
-        tables = self._tables(wavelengths, rows, cols, finest=finest, whole=stages.whole)
-        return stages.given(self._defocus(tables, cols, distance))
+        tables = self._tables(wavelengths, rows, cols, distance, finest=finest, whole=stages.whole)
+        return stages.given(tables)
 
     def _disc(self, distance) -> float:
-        """Return the diameter of the disc by which a distance is out of focus [m]; 0 for None."""
-        return 0.0 if distance is None else float(circle_of_confusion(self.optics, distance))
+        """Return the diameter of the disc with which the spreads are convolved at a distance [m]; 0 for None."""
+        if distance is None or self.distances is not None:
+            return 0.0
+        return float(circle_of_confusion(self.optics, distance))
 
-    def _defocus(self, tables, cols, distance):
-        """Return tables, real and imaginary parts side by side, of spreads that are convolved with that disc."""
-        disc = self._disc(distance) / self.pitch
-        if not disc:
-            return tables
-        fy, fx = np.fft.fftfreq(tables.shape[1]), np.arange(cols // 2 + 1) / cols
-        passed = _disc_transfer(disc * np.hypot(fy[:, None], fx))
-        whole = np.ascontiguousarray(tables, np.float64).view(np.complex128) * passed
-        return whole.view(np.float64)
+    def _own(self, distance) -> float:
+        """Return a distance [m]; of None, the one in focus."""
+        return self.optics.object_distance if distance is None else distance
 
-    def _tables(self, wavelengths, rows, cols, **options):
-        """Transfer tables of the point spreads, see `psf_tables` for the options."""
-        return psf_tables(
+    def _tables(self, wavelengths, rows, cols, distance, **options):
+        """Transfer tables of the point spreads at a distance, see `psf_tables` for the options."""
+        tables = psf_tables(
             self.spread_data,
             wavelengths,
             self.pitch,
@@ -616,13 +628,21 @@ class MeasuredLens(_OnGrid):
             rows,
             cols,
             displacement=self.displacement,
+            distance=self._own(distance),
             **options,
         )
+        disc = self._disc(distance) / self.pitch
+        if not disc:
+            return tables
+        fy, fx = np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
+        passed = _disc_transfer(disc * np.hypot(fy[:, None], fx))
+        whole = np.ascontiguousarray(tables, np.float64).view(np.complex128) * passed
+        return whole.view(np.float64)
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`. Between its wavelengths a measured point spread is linear."""
         wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
-        values = spread_at(self.spread_data, wavelengths, place)
+        values = spread_at(self.spread_data, wavelengths, place, self._own(distance))
         spacing, (rows, cols) = self.spread_data.spacing, values.shape[1:]
         left = np.exp(-2j * np.pi * spacing * np.outer(fy, np.arange(rows) - (rows - 1) / 2))
         right = np.exp(-2j * np.pi * spacing * np.outer(fx, np.arange(cols) - (cols - 1) / 2))
@@ -631,7 +651,8 @@ class MeasuredLens(_OnGrid):
 
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
         """See `Lens`."""
-        return spread_at(self.spread_data, wavelengths, place), self.spread_data.spacing
+        values = spread_at(self.spread_data, wavelengths, place, self.optics.object_distance)
+        return values, self.spread_data.spacing
 
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """See `Lens`."""

@@ -90,6 +90,7 @@ def psf_tables(
     place=(0.0, 0.0),
     whole=True,
     displacement=(0.0, 0.0),
+    distance=np.inf,
 ):
     """Return transfer tables at `wavelengths` [nm], the point spread integrated over the pixel.
 
@@ -113,6 +114,7 @@ def psf_tables(
         whole: Refuse spreads that do not fit into this period. Without it the tables are the
             transfer function at these frequencies, to be looked at.
         displacement: Of the aperture's middle from the scene's sample, (rows, cols) [pixel].
+        distance: Of the object [m], see `PointSpread.at`.
 
     Returns:
         Half tables as `optics.blur` takes them, shape (L, rows, 2 (cols // 2 + 1)).
@@ -142,7 +144,7 @@ def psf_tables(
             f"{spread.spacing * 1e6:.6g} um",
             f"up to {finest * 1e6:.6g} um, half of lambda N: coarser samples do not determine it",
         )
-    values = spread.at(*place)
+    values = spread.at(place[0], place[1], distance)
     for size, period, axis in zip(values.shape[1:], (rows, cols), ("rows", "columns"), strict=True):
         if whole and size * ratio > period:
             raise OutOfRange(
@@ -180,13 +182,15 @@ def _sample_transform(frequencies, count, ratio, aperture, integrated, displacem
     return total
 
 
-def spread_at(spread: PointSpread, wavelengths, place=(0.0, 0.0)) -> np.ndarray:
-    """Return point spreads at `wavelengths` [nm] and a field point, shape (L, rows, cols).
+def spread_at(
+    spread: PointSpread, wavelengths, place=(0.0, 0.0), distance: float = np.inf
+) -> np.ndarray:
+    """Return point spreads at `wavelengths` [nm], a field point and a distance [m], shape (L, rows, cols).
 
     Between its wavelengths the spread is linear. Raises OutOfRange beyond them.
     """
     low, high, rest = _neighbours(spread, wavelengths)
-    values = spread.at(*place)
+    values = spread.at(place[0], place[1], distance)
     return values[low] * (1 - rest) + values[high] * rest
 
 

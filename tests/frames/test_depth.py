@@ -14,6 +14,7 @@ from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange
 from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.interpolation import node_weights
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import Layer, Scene, unit_light
@@ -25,7 +26,6 @@ from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.optics.depth import DepthPlan, circle_of_confusion, distance_of, plan_depth
-from gpusim.optics.expansion import node_weights
 from gpusim.optics.occlusion import find_occlusion
 from gpusim.pipeline.simulator import Simulator
 

@@ -187,7 +187,7 @@ def test_what_has_no_truth_is_refused_in_one_line():
                 model="measured", psf=PointSpread(BANDS[[0, -1]], np.ones((2, 3, 3)), PITCH / 4)
             ),
             deep,
-            "measured at one distance",
+            "depth with measured point spreads",
         ),
         (
             camera(wavefront=Wavefront(seidel=(0, 0.3, 0, 0, 0))),

@@ -2,7 +2,8 @@
 
 Keys: wavelengths_nm (L,), psf (L, rows, cols), spacing_um; integrated (optional). Over the field:
 heights (H,) with psf (H, L, rows, cols), or grid_y (Y,), grid_x (X,) with psf (Y, X, L, rows,
-cols). Rows go down and columns to the right in the upright picture.
+cols). Over the distance of objects: distances_m (D,); D is then the first axis of psf. Rows go
+down and columns to the right in the upright picture.
 """
 
 from os import PathLike
@@ -20,6 +21,7 @@ SHAPES = {
     "heights": (None,),
     "grid_y": (None,),
     "grid_x": (None,),
+    "distances_m": (None,),
 }  # None: any
 COPIES = 2.25  # of the numbers: as float64, scaled to sum 1, and whether each is finite
 
@@ -54,6 +56,7 @@ def read_psf(path: str | PathLike) -> PointSpread:
             integrated,
             heights,
             tuple(archive[key] for key in axes) or None,
+            archive["distances_m"] if "distances_m" in archive else None,
         )
 
 
@@ -77,4 +80,6 @@ def write_psf(path: str | PathLike, spread: PointSpread) -> None:
         arrays["heights"] = spread.heights
     if spread.grid is not None:
         arrays["grid_y"], arrays["grid_x"] = spread.grid
+    if spread.distances is not None:
+        arrays["distances_m"] = spread.distances
     write_archive(path, arrays)

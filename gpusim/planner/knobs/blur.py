@@ -161,8 +161,9 @@ def by_depth(
         curvature=_curvature(question),
         is_placed=placed is not None or not scene.view.is_plain,
         widest=8 * LONGEST_WAVEFRONT * float(np.min(question.q)),
+        known=question.lens.distances,
     )
-    for distance in () if question.lens.distance_model else made.distances[[0, -1]]:
+    for distance in made.distances[[0, -1]] if question.lens.is_adjustable else ():
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
         except OutOfRange as error:
@@ -180,7 +181,7 @@ def _curvature(question):
     A wavefront of W waves at the rim is a circle of 8 q W.
     """
     optics = question.optics
-    if question.lens.distance_model or question.lens.is_uniform:
+    if question.lens.is_uniform or not question.lens.is_adjustable:
         return 0.0, 0.0
     own = [optics.wavefront.polynomial(height) for height in np.linspace(0, 1, 5)]
     waves = [table[at] - own[0][at] for table in own for at in ((2, 0), (0, 2))]
@@ -219,7 +220,7 @@ def _with_occlusion(question, depth, probes, placed, notes):
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
         product = product.times(_left_of(question, sheets))
     # rays are as on the axis, and of a thin lens
-    is_exact = question.lens.is_uniform and not question.lens.distance_model
+    is_exact = question.lens.is_uniform and question.lens.is_adjustable
     left = found.error if is_exact else found.error + found.seen
     bounds = {
         "depth, light behind the edges of layers": total(
