@@ -25,11 +25,12 @@ from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
 from gpusim.optics.edges import MOST_LAYERS, Edges
 from gpusim.optics.mixed import Mixed, find_mixed
-from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
+from gpusim.optics.occlusion import SHARP, Occlusion, Sheet, usual_light
 
 MOST_KERNELS = 64
 BETWEEN = "depth, distances between displaced samples"
 SAME = 0.02  # [pixel] between circles of confusion that count as one, for layers in focus
+SPARSE = 8  # one row of so many tells the usual light of a layer of a large picture
 TOLERANCE = 1e-4  # relative root mean square error by default
 
 
@@ -172,16 +173,17 @@ class DepthPlan:
         hidden = nearer.copy()
         if self.mixed is not None:  # no sample that shows nearer layers too goes on
             hidden.flat[self.mixed.at[self.layer.ravel()[self.mixed.front] < layer]] = True
-        at = nearest(nearer if hidden.all() else hidden)
-        return np.where(nearer, np.ravel_multi_index(tuple(at), nearer.shape), whole)
+        box, (y, x) = _nearest_in_box(nearer if hidden.all() else hidden)
+        np.copyto(whole[box], y * nearer.shape[1] + x, where=nearer[box])
+        return whole
 
-    def _cover(self, layer):
-        """Part of each sample that a layer covers, (rows, cols)."""
+    def _cover(self, layer, box=np.s_[:, :]):
+        """Part of each sample that a layer covers, (rows, cols) of a box."""
         cover = (self.layer == layer).astype(np.float32)
         if self.mixed is not None:
             front = self.layer.ravel()[self.mixed.front] == layer
             cover.flat[self.mixed.at[front]] = self.mixed.share[front]
-        return cover.ravel()[self._places(layer)]
+        return cover.ravel()[self._places(layer)[box]]
 
     def shown(self, layer: int):
         """Index of the sample whose light and distance a layer of a picture shows, (rows, cols); None: each its own."""
@@ -192,16 +194,35 @@ class DepthPlan:
             shown.flat[at] = np.where(self.layer.ravel()[at] == layer, at, own)
         return shown
 
-    def in_brightness(self, brightness: Callable) -> list[Sheet]:
+    def edge_box(self) -> tuple[slice, slice]:
+        """Return rows and columns of a box with all places at which the coverage of layers changes; empty: none."""
+        rows, cols = (np.zeros(n, bool) for n in self.confusion.shape)
+        for values in [alpha for _, alpha, _ in self.sheets] or [self.layer]:
+            down, across = values[1:] != values[:-1], values[:, 1:] != values[:, :-1]
+            rows[1:] |= down.any(axis=1)
+            rows |= across.any(axis=1)
+            cols[1:] |= across.any(axis=0)
+            cols |= down.any(axis=0)
+        if not self.sheets and self.layers > 2:
+            # a layer between others may end anywhere behind nearer ones
+            behind = self.layer < self.layers - 2
+            rows |= behind.any(axis=1)
+            cols |= behind.any(axis=0)
+        return _ends(rows), _ends(cols)
+
+    def in_brightness(
+        self, brightness: Callable, box: tuple[slice, slice] = np.s_[:, :]
+    ) -> list[Sheet]:
         """Return the groups of layers in brightness, with radii that go on where nothing is covered.
 
         Args:
             brightness: Gives the brightness of a layer's content, None for the picture's, float
                 (rows, cols).
+            box: Rows and columns that are wanted, with all edges of layers, by default all.
         """
         found: dict[int, Sheet] = {}
         for layer, group in enumerate(self.groups):
-            sheet = self._in_brightness(layer, brightness)
+            sheet = self._in_brightness(layer, brightness, box)
             if group in found:
                 other = found[group]
                 sheet = replace(
@@ -210,45 +231,67 @@ class DepthPlan:
             found[group] = sheet
         return list(found.values())
 
-    def _in_brightness(self, layer, brightness):
+    def _in_brightness(self, layer, brightness, box):
+        guessed = usual = None
         if self.sheets:
             content, alpha, confusion = self.sheets[layer]
-            light, guessed = brightness(content), None
+            light, alpha, confusion = (one[box] for one in (brightness(content), alpha, confusion))
+            light = light.astype(np.float64)
         else:
-            light, guessed = brightness(None), self.layer < layer
-            shown = self.shown(layer)
-            alpha, confusion = self.layer == layer, self.confusion
-            if shown is not None:
-                alpha, confusion = self._cover(layer), confusion.ravel()[shown]
-                other, factor = self._beside(layer)
-                light = (1 + factor) * light.ravel()[shown] - factor * light.ravel()[other]
+            whole, own = brightness(None), self.layer == layer
+            guessed, shown = self.layer < layer, self.shown(layer)
+            if shown is None:
+                alpha, confusion, light = (
+                    own[box],
+                    self.confusion[box],
+                    whole[box].astype(np.float64),
+                )
+            else:
+                shown = shown[box]
+                alpha, confusion = self._cover(layer, box), self.confusion.ravel()[shown]
+                other, factor = (one[box] for one in self._beside(layer))
+                light, away = (whole.ravel()[at].astype(np.float64) for at in (shown, other))
+                light = (1 + factor) * light - factor * away
                 if self.mixed is not None:  # or they show one surface, of a picture of points
                     back = self.layer.ravel()[self.mixed.back] == layer
                     guessed.flat[self.mixed.at[back]] = True
+            guessed = guessed[box]
+            if guessed.shape != own.shape and guessed.any():
+                some = own[::SPARSE]
+                usual = usual_light(whole[::SPARSE][some] if some.any() else whole[own])
         alpha = np.asarray(alpha, np.float64)
         if not alpha.any():
             confusion = np.zeros_like(confusion)
         elif np.ptp(confusion) > 0 and not alpha.all():
             confusion = confusion[tuple(nearest(alpha == 0))]
-        return Sheet(light * alpha, alpha, confusion / 2, guessed)
+        return Sheet(light * alpha, alpha, confusion / 2, guessed, usual)
+
+
+def _ends(some):
+    """Return the slice from the first to the last of some entries of a line; empty: there are none."""
+    at = np.flatnonzero(some)
+    return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
 
 
 def nearest(missing: np.ndarray) -> np.ndarray:
     """Return rows and columns of the nearest pixel that is not missing, int (2, rows, cols)."""
     found = np.indices(missing.shape)
     if missing.any():
-        # the nearest one is within the pixels next to the box of those that are missing
-        box = tuple(
-            slice(max(some[0] - 1, 0), some[-1] + 2)
-            for some in (np.flatnonzero(missing.any(axis=1 - axis)) for axis in (0, 1))
-        )
-        found[:, *box] = (
-            scipy.ndimage.distance_transform_edt(
-                missing[box], return_distances=False, return_indices=True
-            )
-            + np.array([box[0].start, box[1].start])[:, None, None]
-        )
+        box, found[:, *box] = _nearest_in_box(missing)
     return found
+
+
+def _nearest_in_box(missing):
+    """Return a box with all pixels that are missing, and `nearest` in it."""
+    # the nearest one is within the pixels next to the box of those that are missing
+    box = tuple(
+        slice(max(some.start - 1, 0), some.stop + 1)
+        for some in (_ends(missing.any(axis=1 - axis)) for axis in (0, 1))
+    )
+    found = scipy.ndimage.distance_transform_edt(
+        missing[box], return_distances=False, return_indices=True
+    )
+    return box, found + np.array([box[0].start, box[1].start])[:, None, None]
 
 
 def flatten(scene: Scene):
