@@ -23,13 +23,14 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
-from gpusim.optics.edges import MOST_LAYERS, Edges
+from gpusim.optics.edges import MOST_LAYERS, SAMPLES, Edges, find_changes, span_of
 from gpusim.optics.mixed import Mixed, find_mixed
 from gpusim.optics.occlusion import SHARP, Occlusion, Sheet, usual_light
 
 MOST_KERNELS = 64
 BETWEEN = "depth, distances between displaced samples"
 SAME = 0.02  # [pixel] between circles of confusion that count as one, for layers in focus
+BINS = 4096  # of circles of confusion in a large picture
 SPARSE = 8  # one row of so many tells the usual light of a layer of a large picture
 TOLERANCE = 1e-4  # relative root mean square error by default
 
@@ -42,9 +43,12 @@ def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength
     focus, s the image distance, so c is linear in dioptres; a displaced sensor adds displacement / (N s / f).
     Source: Potmesil and Chakravarty, Computer Graphics 15 (1981).
     """
-    diopters = 1 / optics.object_distance - 1 / np.asarray(distance, np.float64)
-    shift = optics.displacement(1.0) * diopters + _defocus(optics, wavelength)
-    return shift / (optics.working_f_number * pitch)
+    shift = np.asarray(1 / np.asarray(distance, np.float64))
+    np.subtract(1 / optics.object_distance, shift, out=shift)
+    shift *= optics.displacement(1.0)
+    shift += _defocus(optics, wavelength)
+    shift /= optics.working_f_number * pitch
+    return shift[()]
 
 
 def distance_of(optics: Optics, confusion, pitch: float = 1.0, wavelength: float = 550.0):
@@ -198,17 +202,14 @@ class DepthPlan:
         """Return rows and columns of a box with all places at which the coverage of layers changes; empty: none."""
         rows, cols = (np.zeros(n, bool) for n in self.confusion.shape)
         for values in [alpha for _, alpha, _ in self.sheets] or [self.layer]:
-            down, across = values[1:] != values[:-1], values[:, 1:] != values[:, :-1]
-            rows[1:] |= down.any(axis=1)
-            rows |= across.any(axis=1)
-            cols[1:] |= across.any(axis=0)
-            cols |= down.any(axis=0)
+            for every, some in zip((rows, cols), find_changes(values), strict=True):
+                every |= some
         if not self.sheets and self.layers > 2:
             # a layer between others may end anywhere behind nearer ones
             behind = self.layer < self.layers - 2
             rows |= behind.any(axis=1)
             cols |= behind.any(axis=0)
-        return _ends(rows), _ends(cols)
+        return span_of(rows), span_of(cols)
 
     def in_brightness(
         self, brightness: Callable, box: tuple[slice, slice] = np.s_[:, :]
@@ -267,12 +268,6 @@ class DepthPlan:
         return Sheet(light * alpha, alpha, confusion / 2, guessed, usual)
 
 
-def _ends(some):
-    """Return the slice from the first to the last of some entries of a line; empty: there are none."""
-    at = np.flatnonzero(some)
-    return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
-
-
 def nearest(missing: np.ndarray) -> np.ndarray:
     """Return rows and columns of the nearest pixel that is not missing, int (2, rows, cols)."""
     found = np.indices(missing.shape)
@@ -286,7 +281,7 @@ def _nearest_in_box(missing):
     # the nearest one is within the pixels next to the box of those that are missing
     box = tuple(
         slice(max(some.start - 1, 0), some.stop + 1)
-        for some in (_ends(missing.any(axis=1 - axis)) for axis in (0, 1))
+        for some in (span_of(missing.any(axis=1 - axis)) for axis in (0, 1))
     )
     found = scipy.ndimage.distance_transform_edt(
         missing[box], return_distances=False, return_indices=True
@@ -345,7 +340,7 @@ def plan_depth(
         OutOfRange: A distance has no image, or there are too many kernels.
     """
     tolerance = tolerance or TOLERANCE
-    depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
+    depth, light = np.asarray(depth, np.float64), np.asarray(brightness)
     confusion = checked_confusion(optics, pitch, depth, light.shape)
     sheets: tuple = ()
     groups: tuple[int, ...] = ()
@@ -355,17 +350,14 @@ def plan_depth(
     if sheets:
         every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets])
     low, high = float(every.min()), float(every.max())
-    power = float(np.mean(light**2)) or 1.0
-    change = 0.0
-    for axis in (0, 1):
-        if light.shape[axis] > 1:
-            change += float(np.mean(np.diff(light, axis=axis) ** 2))
+    power, change = _mean_squares(light)
+    power = power or 1.0
     contrast = np.sqrt(change / power)
     q = 550e-9 * optics.working_f_number / pitch
-    distinct = np.unique(every)
+    circles, counts, is_distinct = _count(every, low, high)
     nodes = (
-        distinct
-        if len(distinct) <= 4
+        circles
+        if is_distinct and len(circles) <= 4
         else kernel_nodes(low, high, contrast, tolerance / 4, q, curvature)
     )
     # a node beyond the nearest or farthest object may have no image, or too wide a blur
@@ -373,7 +365,7 @@ def plan_depth(
     has_image = ends[0] > optics.focal_length and 0 < ends[1] < np.inf
     if not has_image or np.abs(nodes).max() > widest:
         nodes = np.unique(np.clip(nodes, low, high))
-    nodes = distinct if len(distinct) <= len(nodes) else nodes
+    nodes = circles if is_distinct and len(circles) <= len(nodes) else nodes
     if len(nodes) > MOST_KERNELS:
         raise OutOfRange(
             "depth",
@@ -386,7 +378,7 @@ def plan_depth(
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {
         "depth, kernels between those computed": float(
-            contrast * _remainder(nodes, every, q, curvature)
+            contrast * _remainder(nodes, circles, q, curvature, counts)
         ),
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
@@ -409,9 +401,14 @@ def plan_depth(
     if layered is None:
         layered = plain > tolerance and in_layers < plain
     cuts = cuts if layered else np.empty(0)
+    layer = np.zeros(depth.shape, np.uint8)
+    for cut in cuts:
+        layer += confusion > cut
     # some may have no pixel
-    present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)
-    layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
+    present = [bool((layer == k).any()) for k in range(len(cuts) + 1)]
+    count = sum(present)
+    if not all(present):
+        layer = (np.cumsum(present) - 1).astype(np.uint8)[layer]
     if is_placed:
         predicted[BETWEEN] = _between_error(confusion, contrast, q, curvature, layer)
     if layered:
@@ -429,27 +426,78 @@ def plan_depth(
     )
 
 
+def _mean_squares(light):
+    """Return the mean square of a picture, and the sum of those of its differences along rows and along columns."""
+    rows, cols = light.shape
+    own, sums = 0.0, [0.0, 0.0]
+    size = max(SAMPLES // cols, 1)
+    for begin in range(0, rows, size):
+        some = light[begin : begin + size + 1].astype(np.float64)
+        own += float((some[:size] ** 2).sum())
+        sums[0] += float((np.diff(some, axis=0) ** 2).sum())
+        sums[1] += float((np.diff(some[:size], axis=1) ** 2).sum())
+    counts = (rows - 1) * cols, rows * (cols - 1)
+    return own / light.size, sum(one / max(n, 1) for one, n in zip(sums, counts, strict=True))
+
+
+def _count(circles, low, high):
+    """Return circles of confusion that stand for all, how many each stands for, and whether they are all that differ.
+
+    low, high: the least and the greatest.
+    """
+    circles = circles.ravel()
+    few = np.unique(circles[:: max(circles.size // SAMPLES, 1)])
+    if circles.size <= SAMPLES or len(few) <= MOST_KERNELS:
+        found, counts = np.unique(circles, return_counts=True)
+        return found, counts, True
+    step, counts = (high - low) / BINS, np.zeros(BINS + 1, int)
+    for begin in range(0, circles.size, SAMPLES):
+        place = (circles[begin : begin + SAMPLES] - low) / step
+        counts += np.bincount(place.astype(np.int64), minlength=BINS + 1)
+    some = np.flatnonzero(counts)
+    return np.minimum(low + step * (some + 0.5), high), counts[some], False
+
+
 def _between_error(confusion, contrast, q, curvature, layer=None):
     """Return the relative RMS error by samples between others that get the mean of their circles of confusion.
 
     Of two circles d apart, half of the light each, the mean errs by (d / 2)^2 / 2 times the second
     derivative. layer: samples of different layers are not mixed.
     """
-    apart = np.zeros_like(confusion)
-    for axis in (0, 1):
-        step = np.abs(np.diff(confusion, axis=axis))
-        if layer is not None:
-            step[np.diff(layer, axis=axis) != 0] = 0
-        inner = [slice(None)] * 2
-        inner[axis] = slice(1, None)
-        np.maximum(apart[tuple(inner)], step, out=apart[tuple(inner)])
-    some = apart > SAME
-    if not some.any():
+    size, square, found = max(SAMPLES // confusion.shape[1], 1), 0.0, []
+    for begin in range(0, len(confusion), size):
+        # with the row above
+        above = min(begin, 1)
+        rows = slice(begin - above, begin + size)
+        some, apart = confusion[rows], np.zeros_like(confusion[rows])
+        for axis, inner in ((0, np.s_[1:]), (1, np.s_[:, 1:])):
+            step = np.abs(np.diff(some, axis=axis))
+            if layer is not None:
+                step[np.diff(layer[rows], axis=axis) != 0] = 0
+            np.maximum(apart[inner], step, out=apart[inner])
+        many = apart > SAME
+        many[:above] = False
+        found.append((apart[many], some[many]))
+    apart, circles = (np.concatenate(one) for one in zip(*found, strict=True))
+    if not len(apart):
         return 0.0
-    wrong = apart[some] ** 2 / 8 * _worst_derivative(2, confusion[some], q, curvature)
+    first, second = (_worst_at(order, circles, q, curvature) for order in (1, 2))
+    wrong = apart**2 / 8 * second
     # no more than the circles differ
-    wrong = np.minimum(wrong, apart[some] / 2 * _worst_derivative(1, confusion[some], q, curvature))
-    return float(contrast * np.sqrt(np.square(wrong).sum() / some.size))
+    wrong = np.minimum(wrong, apart / 2 * first)
+    square = np.square(wrong).sum()
+    return float(contrast * np.sqrt(square / confusion.size))
+
+
+def _worst_at(order, circles, q, curvature):
+    """Return `_worst_derivative`; of many circles the greater of those at the ends of a bin."""
+    if len(circles) <= SAMPLES:
+        return _worst_derivative(order, circles, q, curvature)
+    low, high = circles.min(), circles.max()
+    ends = np.linspace(low, high, BINS + 1)
+    values = _worst_derivative(order, ends, q, curvature)
+    place = (circles - low) * (BINS / max(high - low, 1e-300))
+    return np.maximum(values[:-1], values[1:])[np.minimum(place.astype(np.int32), BINS - 1)]
 
 
 def _sheets(scene, optics, pitch):
@@ -576,17 +624,17 @@ def stencil(nodes, confusion):
     return np.clip(first, 0, len(nodes) - count), count
 
 
-def _remainder(nodes, confusion, q, curvature=(0.0, 0.0)):
+def _remainder(nodes, confusion, q, curvature=(0.0, 0.0), counts=None):
     """Root mean square over `confusion` of interpolation's remainder for a picture of contrast 1.
 
-    It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance
-    times the first.
+    counts: of each, by default 1. It is the product of the distances to the 4 nodes over 4! times the fourth
+    derivative; of a single node the distance times the first.
     """
     first, count = stencil(nodes, confusion)
     error = _worst_derivative(count, confusion, q, curvature)
     for i in range(count):
         error = error * (confusion - nodes[first + i]) / (i + 1)
-    return float(np.sqrt(np.mean(error**2)))
+    return float(np.sqrt(np.average(error**2, weights=counts)))
 
 
 def _worst_derivative(order, confusion, q, curvature):
