@@ -24,14 +24,16 @@ from gpusim.domain.interpolation import stencil
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
-from gpusim.optics.edges import MOST_LAYERS, Edges
+from gpusim.optics.edges import MOST_LAYERS, SAMPLES, Edges, find_changes, span_of
 from gpusim.optics.mixed import Mixed, find_mixed
-from gpusim.optics.occlusion import SHARP, Occlusion, Sheet
+from gpusim.optics.occlusion import SHARP, Occlusion, Sheet, usual_light
 
 MOST_KERNELS = 64
 BETWEEN = "depth, distances between displaced samples"
 NODE = 1e-6  # [pixel] by which circles of confusion may miss those known
 SAME = 0.02  # [pixel] between circles of confusion that count as one, for layers in focus
+BINS = 4096  # of circles of confusion in a large picture
+SPARSE = 8  # one row of so many tells the usual light of a layer of a large picture
 TOLERANCE = 1e-4  # relative root mean square error by default
 
 
@@ -43,9 +45,12 @@ def circle_of_confusion(optics: Optics, distance, pitch: float = 1.0, wavelength
     focus, s the image distance, so c is linear in dioptres; a displaced sensor adds displacement / (N s / f).
     Source: Potmesil and Chakravarty, Computer Graphics 15 (1981).
     """
-    diopters = 1 / optics.object_distance - 1 / np.asarray(distance, np.float64)
-    shift = optics.displacement(1.0) * diopters + _defocus(optics, wavelength)
-    return shift / (optics.working_f_number * pitch)
+    shift = np.asarray(1 / np.asarray(distance, np.float64))
+    np.subtract(1 / optics.object_distance, shift, out=shift)
+    shift *= optics.displacement(1.0)
+    shift += _defocus(optics, wavelength)
+    shift /= optics.working_f_number * pitch
+    return shift[()]
 
 
 def distance_of(optics: Optics, confusion, pitch: float = 1.0, wavelength: float = 550.0):
@@ -174,16 +179,17 @@ class DepthPlan:
         hidden = nearer.copy()
         if self.mixed is not None:  # no sample that shows nearer layers too goes on
             hidden.flat[self.mixed.at[self.layer.ravel()[self.mixed.front] < layer]] = True
-        at = nearest(nearer if hidden.all() else hidden)
-        return np.where(nearer, np.ravel_multi_index(tuple(at), nearer.shape), whole)
+        box, (y, x) = _nearest_in_box(nearer if hidden.all() else hidden)
+        np.copyto(whole[box], y * nearer.shape[1] + x, where=nearer[box])
+        return whole
 
-    def _cover(self, layer):
-        """Part of each sample that a layer covers, (rows, cols)."""
+    def _cover(self, layer, box=np.s_[:, :]):
+        """Part of each sample that a layer covers, (rows, cols) of a box."""
         cover = (self.layer == layer).astype(np.float32)
         if self.mixed is not None:
             front = self.layer.ravel()[self.mixed.front] == layer
             cover.flat[self.mixed.at[front]] = self.mixed.share[front]
-        return cover.ravel()[self._places(layer)]
+        return cover.ravel()[self._places(layer)[box]]
 
     def shown(self, layer: int):
         """Index of the sample whose light and distance a layer of a picture shows, (rows, cols); None: each its own."""
@@ -194,16 +200,32 @@ class DepthPlan:
             shown.flat[at] = np.where(self.layer.ravel()[at] == layer, at, own)
         return shown
 
-    def in_brightness(self, brightness: Callable) -> list[Sheet]:
+    def edge_box(self) -> tuple[slice, slice]:
+        """Return rows and columns of a box with all places at which the coverage of layers changes; empty: none."""
+        rows, cols = (np.zeros(n, bool) for n in self.confusion.shape)
+        for values in [alpha for _, alpha, _ in self.sheets] or [self.layer]:
+            for every, some in zip((rows, cols), find_changes(values), strict=True):
+                every |= some
+        if not self.sheets and self.layers > 2:
+            # a layer between others may end anywhere behind nearer ones
+            behind = self.layer < self.layers - 2
+            rows |= behind.any(axis=1)
+            cols |= behind.any(axis=0)
+        return span_of(rows), span_of(cols)
+
+    def in_brightness(
+        self, brightness: Callable, box: tuple[slice, slice] = np.s_[:, :]
+    ) -> list[Sheet]:
         """Return the groups of layers in brightness, with radii that go on where nothing is covered.
 
         Args:
             brightness: Gives the brightness of a layer's content, None for the picture's, float
                 (rows, cols).
+            box: Rows and columns that are wanted, with all edges of layers, by default all.
         """
         found: dict[int, Sheet] = {}
         for layer, group in enumerate(self.groups):
-            sheet = self._in_brightness(layer, brightness)
+            sheet = self._in_brightness(layer, brightness, box)
             if group in found:
                 other = found[group]
                 sheet = replace(
@@ -212,45 +234,61 @@ class DepthPlan:
             found[group] = sheet
         return list(found.values())
 
-    def _in_brightness(self, layer, brightness):
+    def _in_brightness(self, layer, brightness, box):
+        guessed = usual = None
         if self.sheets:
             content, alpha, confusion = self.sheets[layer]
-            light, guessed = brightness(content), None
+            light, alpha, confusion = (one[box] for one in (brightness(content), alpha, confusion))
+            light = light.astype(np.float64)
         else:
-            light, guessed = brightness(None), self.layer < layer
-            shown = self.shown(layer)
-            alpha, confusion = self.layer == layer, self.confusion
-            if shown is not None:
-                alpha, confusion = self._cover(layer), confusion.ravel()[shown]
-                other, factor = self._beside(layer)
-                light = (1 + factor) * light.ravel()[shown] - factor * light.ravel()[other]
+            whole, own = brightness(None), self.layer == layer
+            guessed, shown = self.layer < layer, self.shown(layer)
+            if shown is None:
+                alpha, confusion, light = (
+                    own[box],
+                    self.confusion[box],
+                    whole[box].astype(np.float64),
+                )
+            else:
+                shown = shown[box]
+                alpha, confusion = self._cover(layer, box), self.confusion.ravel()[shown]
+                other, factor = (one[box] for one in self._beside(layer))
+                light, away = (whole.ravel()[at].astype(np.float64) for at in (shown, other))
+                light = (1 + factor) * light - factor * away
                 if self.mixed is not None:  # or they show one surface, of a picture of points
                     back = self.layer.ravel()[self.mixed.back] == layer
                     guessed.flat[self.mixed.at[back]] = True
+            guessed = guessed[box]
+            if guessed.shape != own.shape and guessed.any():
+                some = own[::SPARSE]
+                usual = usual_light(whole[::SPARSE][some] if some.any() else whole[own])
         alpha = np.asarray(alpha, np.float64)
         if not alpha.any():
             confusion = np.zeros_like(confusion)
         elif np.ptp(confusion) > 0 and not alpha.all():
             confusion = confusion[tuple(nearest(alpha == 0))]
-        return Sheet(light * alpha, alpha, confusion / 2, guessed)
+        return Sheet(light * alpha, alpha, confusion / 2, guessed, usual)
 
 
 def nearest(missing: np.ndarray) -> np.ndarray:
     """Return rows and columns of the nearest pixel that is not missing, int (2, rows, cols)."""
     found = np.indices(missing.shape)
     if missing.any():
-        # the nearest one is within the pixels next to the box of those that are missing
-        box = tuple(
-            slice(max(some[0] - 1, 0), some[-1] + 2)
-            for some in (np.flatnonzero(missing.any(axis=1 - axis)) for axis in (0, 1))
-        )
-        found[:, *box] = (
-            scipy.ndimage.distance_transform_edt(
-                missing[box], return_distances=False, return_indices=True
-            )
-            + np.array([box[0].start, box[1].start])[:, None, None]
-        )
+        box, found[:, *box] = _nearest_in_box(missing)
     return found
+
+
+def _nearest_in_box(missing):
+    """Return a box with all pixels that are missing, and `nearest` in it."""
+    # the nearest one is within the pixels next to the box of those that are missing
+    box = tuple(
+        slice(max(some.start - 1, 0), some.stop + 1)
+        for some in (span_of(missing.any(axis=1 - axis)) for axis in (0, 1))
+    )
+    found = scipy.ndimage.distance_transform_edt(
+        missing[box], return_distances=False, return_indices=True
+    )
+    return box, found + np.array([box[0].start, box[1].start])[:, None, None]
 
 
 def flatten(scene: Scene):
@@ -306,7 +344,7 @@ def plan_depth(
         OutOfRange: A distance has no image or lies outside those known, or there are too many kernels.
     """
     tolerance = tolerance or TOLERANCE
-    depth, light = np.asarray(depth, np.float64), np.asarray(brightness, np.float64)
+    depth, light = np.asarray(depth, np.float64), np.asarray(brightness)
     confusion = checked_confusion(optics, pitch, depth, light.shape)
     sheets: tuple = ()
     groups: tuple[int, ...] = ()
@@ -316,17 +354,15 @@ def plan_depth(
     if sheets:
         every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets])
     low, high = float(every.min()), float(every.max())
-    power = float(np.mean(light**2)) or 1.0
-    change = 0.0
-    for axis in (0, 1):
-        if light.shape[axis] > 1:
-            change += float(np.mean(np.diff(light, axis=axis) ** 2))
+    power, change = _mean_squares(light)
+    power = power or 1.0
     contrast = np.sqrt(change / power)
     q = 550e-9 * optics.working_f_number / pitch
-    distinct = np.unique(every)
+    circles, counts, is_distinct = _count(every, low, high)
     if known is None:
         nodes = _choose_nodes(
-            optics, pitch, distinct, contrast, tolerance / 4, q, curvature, widest
+            *(optics, pitch, low, high, circles if is_distinct else None),
+            *(contrast, tolerance / 4, q, curvature, widest),
         )
         distances = distance_of(optics, nodes, pitch)
     else:
@@ -344,7 +380,7 @@ def plan_depth(
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {
         "depth, kernels between those computed": float(
-            contrast * _remainder(nodes, every, q, curvature) if known is None else 0
+            contrast * _remainder(nodes, circles, q, curvature, counts) if known is None else 0
         ),
         "depth, slopes of surfaces": edges.slope_error(light, power),
     }
@@ -366,9 +402,14 @@ def plan_depth(
     if layered is None:
         layered = plain > tolerance and in_layers < plain
     cuts = cuts if layered else np.empty(0)
+    layer = np.zeros(depth.shape, np.uint8)
+    for cut in cuts:
+        layer += confusion > cut
     # some may have no pixel
-    present, place = np.unique(np.searchsorted(cuts, confusion), return_inverse=True)
-    layer, count = place.reshape(depth.shape).astype(np.uint8), len(present)
+    present = [bool((layer == k).any()) for k in range(len(cuts) + 1)]
+    count = sum(present)
+    if not all(present):
+        layer = (np.cumsum(present) - 1).astype(np.uint8)[layer]
     if is_placed:
         predicted[BETWEEN] = _between_error(confusion, contrast, q, curvature, layer)
     if layered:
@@ -386,10 +427,12 @@ def plan_depth(
     )
 
 
-def _choose_nodes(optics, pitch, distinct, contrast, tolerance, q, curvature, widest):
-    """Return circles of confusion between which kernels are interpolated: few, or those that a scene has."""
-    low, high = distinct[[0, -1]]
-    if len(distinct) <= 4:
+def _choose_nodes(optics, pitch, low, high, distinct, contrast, tolerance, q, curvature, widest):
+    """Return circles of confusion between which kernels are interpolated: few, or those that a scene has.
+
+    distinct: those that a scene has; None: too many.
+    """
+    if distinct is not None and len(distinct) <= 4:
         return distinct
     nodes = kernel_nodes(low, high, contrast, tolerance, q, curvature)
     # a node beyond the nearest or farthest object may have no image, or too wide a blur
@@ -397,7 +440,7 @@ def _choose_nodes(optics, pitch, distinct, contrast, tolerance, q, curvature, wi
     has_image = ends[0] > optics.focal_length and 0 < ends[1] < np.inf
     if not has_image or np.abs(nodes).max() > widest:
         nodes = np.unique(np.clip(nodes, low, high))
-    return distinct if len(distinct) <= len(nodes) else nodes
+    return distinct if distinct is not None and len(distinct) <= len(nodes) else nodes
 
 
 def _neighbours(known, optics, pitch, low, high):
@@ -416,27 +459,78 @@ def _neighbours(known, optics, pitch, low, high):
     return known[first : max(last, first + 4)]
 
 
+def _mean_squares(light):
+    """Return the mean square of a picture, and the sum of those of its differences along rows and along columns."""
+    rows, cols = light.shape
+    own, sums = 0.0, [0.0, 0.0]
+    size = max(SAMPLES // cols, 1)
+    for begin in range(0, rows, size):
+        some = light[begin : begin + size + 1].astype(np.float64)
+        own += float((some[:size] ** 2).sum())
+        sums[0] += float((np.diff(some, axis=0) ** 2).sum())
+        sums[1] += float((np.diff(some[:size], axis=1) ** 2).sum())
+    counts = (rows - 1) * cols, rows * (cols - 1)
+    return own / light.size, sum(one / max(n, 1) for one, n in zip(sums, counts, strict=True))
+
+
+def _count(circles, low, high):
+    """Return circles of confusion that stand for all, how many each stands for, and whether they are all that differ.
+
+    low, high: the least and the greatest.
+    """
+    circles = circles.ravel()
+    few = np.unique(circles[:: max(circles.size // SAMPLES, 1)])
+    if circles.size <= SAMPLES or len(few) <= MOST_KERNELS:
+        found, counts = np.unique(circles, return_counts=True)
+        return found, counts, True
+    step, counts = (high - low) / BINS, np.zeros(BINS + 1, int)
+    for begin in range(0, circles.size, SAMPLES):
+        place = (circles[begin : begin + SAMPLES] - low) / step
+        counts += np.bincount(place.astype(np.int64), minlength=BINS + 1)
+    some = np.flatnonzero(counts)
+    return np.minimum(low + step * (some + 0.5), high), counts[some], False
+
+
 def _between_error(confusion, contrast, q, curvature, layer=None):
     """Return the relative RMS error by samples between others that get the mean of their circles of confusion.
 
     Of two circles d apart, half of the light each, the mean errs by (d / 2)^2 / 2 times the second
     derivative. layer: samples of different layers are not mixed.
     """
-    apart = np.zeros_like(confusion)
-    for axis in (0, 1):
-        step = np.abs(np.diff(confusion, axis=axis))
-        if layer is not None:
-            step[np.diff(layer, axis=axis) != 0] = 0
-        inner = [slice(None)] * 2
-        inner[axis] = slice(1, None)
-        np.maximum(apart[tuple(inner)], step, out=apart[tuple(inner)])
-    some = apart > SAME
-    if not some.any():
+    size, square, found = max(SAMPLES // confusion.shape[1], 1), 0.0, []
+    for begin in range(0, len(confusion), size):
+        # with the row above
+        above = min(begin, 1)
+        rows = slice(begin - above, begin + size)
+        some, apart = confusion[rows], np.zeros_like(confusion[rows])
+        for axis, inner in ((0, np.s_[1:]), (1, np.s_[:, 1:])):
+            step = np.abs(np.diff(some, axis=axis))
+            if layer is not None:
+                step[np.diff(layer[rows], axis=axis) != 0] = 0
+            np.maximum(apart[inner], step, out=apart[inner])
+        many = apart > SAME
+        many[:above] = False
+        found.append((apart[many], some[many]))
+    apart, circles = (np.concatenate(one) for one in zip(*found, strict=True))
+    if not len(apart):
         return 0.0
-    wrong = apart[some] ** 2 / 8 * _worst_derivative(2, confusion[some], q, curvature)
+    first, second = (_worst_at(order, circles, q, curvature) for order in (1, 2))
+    wrong = apart**2 / 8 * second
     # no more than the circles differ
-    wrong = np.minimum(wrong, apart[some] / 2 * _worst_derivative(1, confusion[some], q, curvature))
-    return float(contrast * np.sqrt(np.square(wrong).sum() / some.size))
+    wrong = np.minimum(wrong, apart / 2 * first)
+    square = np.square(wrong).sum()
+    return float(contrast * np.sqrt(square / confusion.size))
+
+
+def _worst_at(order, circles, q, curvature):
+    """Return `_worst_derivative`; of many circles the greater of those at the ends of a bin."""
+    if len(circles) <= SAMPLES:
+        return _worst_derivative(order, circles, q, curvature)
+    low, high = circles.min(), circles.max()
+    ends = np.linspace(low, high, BINS + 1)
+    values = _worst_derivative(order, ends, q, curvature)
+    place = (circles - low) * (BINS / max(high - low, 1e-300))
+    return np.maximum(values[:-1], values[1:])[np.minimum(place.astype(np.int32), BINS - 1)]
 
 
 def _sheets(scene, optics, pitch):
@@ -556,17 +650,17 @@ def _node_scale(q, curvature):
     return circles, np.append(0, np.cumsum(np.diff(circles) * (density[1:] + density[:-1]) / 2))
 
 
-def _remainder(nodes, confusion, q, curvature=(0.0, 0.0)):
+def _remainder(nodes, confusion, q, curvature=(0.0, 0.0), counts=None):
     """Root mean square over `confusion` of interpolation's remainder for a picture of contrast 1.
 
-    It is the product of the distances to the 4 nodes over 4! times the fourth derivative; of a single node the distance
-    times the first.
+    counts: of each, by default 1. It is the product of the distances to the 4 nodes over 4! times the fourth
+    derivative; of a single node the distance times the first.
     """
     first, count = stencil(nodes, confusion)
     error = _worst_derivative(count, confusion, q, curvature)
     for i in range(count):
         error = error * (confusion - nodes[first + i]) / (i + 1)
-    return float(np.sqrt(np.mean(error**2)))
+    return float(np.sqrt(np.average(error**2, weights=counts)))
 
 
 def _worst_derivative(order, confusion, q, curvature):

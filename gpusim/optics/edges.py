@@ -9,39 +9,65 @@ MOST_LAYERS = 16
 JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
 REMAINS = 0.1  # of a covariance over the pupil, after it was summed
 STEP = 0.25  # [pixel] of circle of confusion between possible cuts of the picture
+SAMPLES = 2**18  # of a picture: of a larger one some rows stand for all, but at edges
+BLOCK = 32  # rows that are looked at together
 
 
 @dataclass(frozen=True, eq=False)
 class Edges:
     """Neighbouring pixels of different circles of confusion; arrays (n,), the nearer pixel's first.
 
-    near, far: signed circles of confusion [pixel]. light_near, light_far: brightness. lags, variation: mean square
-    difference of brightness at these distances [pixel] within a surface.
+    All edges are among them, and surfaces that slope in some rows of a large picture.
+
+    near, far: signed circles of confusion [pixel]. light_near, light_far: brightness. weight: pairs that each stands
+    for. lags, variation: mean square difference of brightness at these distances [pixel] within a surface.
     """
 
     near: np.ndarray
     far: np.ndarray
     light_near: np.ndarray
     light_far: np.ndarray
+    weight: np.ndarray
     lags: np.ndarray
     variation: np.ndarray
 
     @classmethod
     def of(cls, confusion, light):
-        """All pairs along rows and columns."""
-        pairs = []
-        for before, after in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
-            unequal = confusion[before] != confusion[after]
-            first, second = confusion[before][unequal], confusion[after][unequal]
-            light_first, light_second = light[before][unequal], light[after][unequal]
-            in_order = [first, second, light_first, light_second]
-            swapped = [second, first, light_second, light_first]
-            pairs.append(np.where(first > second, swapped, in_order))
+        """Pairs along rows and columns."""
+        (rows, cols), every = confusion.shape, max(light.size // SAMPLES, 1)
+        circles, lights = confusion.ravel(), light.ravel()
+        even = np.arange(0, rows, every)
+        chosen, stands_for = _sample_rows(light, even)
+        pairs, weights = [], []
+
+        def take(first, step, weight):
+            second = first + step
+            in_order = [circles[first], circles[second], lights[first], lights[second]]
+            in_order = np.array(in_order, np.float64)
+            pairs.append(np.where(in_order[0] > in_order[1], in_order[[1, 0, 3, 2]], in_order))
+            weights.append(np.broadcast_to(weight, first.shape))
+
+        for step, some, end in ((cols, chosen < rows - 1, cols), (1, np.s_[:], cols - 1)):
+            at = chosen[some, None] * cols + np.arange(end)
+            apart = np.abs(circles[at + step] - circles[at])
+            y, x = np.nonzero((apart > 0) & (apart <= JUMP) if every > 1 else apart)
+            take(at[y, x], step, stands_for[some][y])
+        for step, first in _jumps(confusion) if every > 1 else ():
+            take(first, step, 1.0)
         lags = [2**k for k in range(12) if 2**k < max(light.shape)]
+        variation = np.array([_variation(confusion, light, lag, even) for lag in lags])
+        if every > 1:
+            # squares of a sum of two
+            top = light[even].max()
+            more = (
+                np.square(np.maximum(light[chosen] - top, 0), dtype=np.float64).sum() / light.size
+            )
+            variation = (np.sqrt(variation) + np.sqrt(2 * more)) ** 2
         return cls(
             *np.concatenate(pairs, axis=1),
+            np.concatenate(weights),
             np.array([0, *lags]),
-            np.array([0.0, *(_variation(confusion, light, lag) for lag in lags)]),
+            np.append(0.0, variation),
         )
 
     @property
@@ -59,7 +85,9 @@ class Edges:
         """
         if not self.jumps.any():
             return 0.0
-        return float(np.sqrt(self._plain().sum() / (power * light.size)))
+        return float(
+            np.sqrt((self._plain() * self.weight[self.jumps]).sum() / (power * light.size))
+        )
 
     def slope_error(self, light, power):
         """Return the relative error on sloping surfaces, from using the visible point's kernel for the pixel.
@@ -74,7 +102,7 @@ class Edges:
         lag = np.maximum(2 * radius, 1)
         left = np.interp(lag, self.lags, self.variation) * (radius / lag) ** 2
         own = (self.light_near - self.light_far)[some] * np.minimum(radius, 0.75)
-        square = steep**2 * np.maximum(own**2, left)
+        square = steep**2 * np.maximum(own**2, left) * self.weight[some]
         return float(np.sqrt(square.sum() / (power * light.size)))
 
     def _plain(self):
@@ -132,7 +160,8 @@ class Edges:
         bins = ((np.stack([self.near, self.far]) - low) / STEP).astype(int)
         first, last = np.clip(bins, 0, count - 1)
         smooth = (first != last) & ~some
-        cost = _best_cover(first[smooth], last[smooth], self._layered_error(smooth), count)
+        cost = self._layered_error(smooth) * self.weight[smooth]
+        cost = _best_cover(first[smooth], last[smooth], cost, count)
         plain, layered = self._plain(), self._layered_error(some)
         first, last = first[some], last[some]
         cut = np.zeros(len(plain), bool)
@@ -153,18 +182,65 @@ class Edges:
         """Return the relative error of a picture cut at `cuts`: at the cuts, and at the edges that stay whole."""
         apart = np.searchsorted(cuts, self.near) != np.searchsorted(cuts, self.far)
         left = self._plain()[~apart[self.jumps]].sum() if self.jumps.any() else 0.0
-        return float(np.sqrt((left + self._layered_error(apart).sum()) / (power * light.size)))
+        cut = (self._layered_error(apart) * self.weight[apart]).sum()
+        return float(np.sqrt((left + cut) / (power * light.size)))
 
 
-def _variation(confusion, light, lag):
-    """Mean square difference of brightness of pixels `lag` apart along rows or columns on one surface."""
+def _sample_rows(light, even):
+    """Return rows, int (n,), and how many rows each stands for: even ones, and those with brighter light than these."""
+    rows = len(light)
+    if len(even) == rows:
+        return even, np.ones(rows)
+    most = light.max(axis=1)
+    bright = np.flatnonzero(most > most[even].max())
+    bright = np.union1d(bright, np.maximum(bright - 1, 0)).astype(int)
+    others = np.setdiff1d(even, bright)
+    chosen = np.union1d(others, bright)
+    weight = np.where(np.isin(chosen, bright), 1.0, (rows - len(bright)) / max(len(others), 1))
+    return chosen, weight
+
+
+def find_changes(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return which rows and which columns have a value that differs from the one before it or beside it, bool each."""
+    rows, cols = (np.zeros(n, bool) for n in values.shape)
+    down, across = values[1:] != values[:-1], values[:, 1:] != values[:, :-1]
+    rows[1:] |= down.any(axis=1)
+    rows |= across.any(axis=1)
+    cols[1:] |= across.any(axis=0)
+    cols |= down.any(axis=0)
+    return rows, cols
+
+
+def span_of(some: np.ndarray) -> slice:
+    """Return the slice from the first to the last of some entries of a line; empty: there are none."""
+    at = np.flatnonzero(some)
+    return slice(int(at[0]), int(at[-1]) + 1) if len(at) else slice(0, 0)
+
+
+def _jumps(confusion):
+    """Yield the step from a pixel to its neighbour, and the index of each that differs from it by more than JUMP."""
+    rows, cols = confusion.shape
+    for begin in range(0, rows, BLOCK):
+        some = confusion[begin : begin + BLOCK + 1]
+        for step, differs in ((cols, some[1:] - some[:-1]), (1, np.diff(some[:BLOCK], axis=1))):
+            y, x = np.nonzero(np.abs(differs, out=differs) > JUMP)
+            if len(y):
+                yield step, (y + begin) * cols + x
+
+
+def _variation(confusion, light, lag, rows):
+    """Mean square difference of brightness of pixels `lag` apart along rows or columns on one surface, by some rows."""
     total, count = 0.0, 0
-    for axis, (before, after) in enumerate(
-        ((np.s_[:-lag], np.s_[lag:]), (np.s_[:, :-lag], np.s_[:, lag:]))
-    ):
+    for axis in (0, 1):
         if light.shape[axis] > lag:
-            same = np.abs(confusion[after] - confusion[before]) <= JUMP
-            total += float((((light[after] - light[before]) ** 2) * same).sum())
+            first = rows[rows < len(light) - lag] if axis == 0 else rows
+            if axis == 0:
+                pairs = [(one[first], one[first + lag]) for one in (confusion, light)]
+            else:
+                pairs = [(one[first, :-lag], one[first, lag:]) for one in (confusion, light)]
+            (before, after), (dark, bright) = pairs
+            same = np.abs(after - before) <= JUMP
+            total += float((((bright.astype(np.float64) - dark) ** 2) * same).sum())
             count += int(same.sum())
     return total / max(count, 1)
 

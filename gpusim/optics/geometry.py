@@ -240,19 +240,22 @@ def view_nodes(
     return nodes
 
 
-def places_of(nodes: np.ndarray, shape: tuple[int, int]) -> tuple[np.ndarray, ...]:
-    """Return rows and columns of the source of every sample of a frame, and its flux factor, each of `shape`.
+def places_of(
+    nodes: np.ndarray, shape: tuple[int, int], box: tuple[slice, slice] = np.s_[:, :]
+) -> tuple[np.ndarray, ...]:
+    """Return rows and columns of the source of the samples of a frame, and their flux factor.
 
     Args:
         nodes: As of a DistortionGrid, (ny, nx, 3).
         shape: Rows and columns of the frame [sample].
+        box: The samples that are wanted, by default all.
     """
-    along_y, along_x = (
-        lagrange_weights(count, (np.arange(n) + 0.5) / n)
-        for count, n in zip(nodes.shape[:2], shape, strict=True)
+    (every_y, along_y), (every_x, along_x) = (
+        (np.arange(n)[its], lagrange_weights(count, (np.arange(n)[its] + 0.5) / n))
+        for count, n, its in zip(nodes.shape[:2], shape, box, strict=True)
     )
     down, across, flux = (along_y @ nodes[..., part] @ along_x.T for part in range(3))
-    return down + np.arange(shape[0])[:, None], across + np.arange(shape[1]), flux
+    return down + every_y[:, None], across + every_x, flux
 
 
 def lagrange_weights(count: int, places: np.ndarray) -> np.ndarray:

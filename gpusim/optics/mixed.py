@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 
+from gpusim.optics.edges import find_changes, span_of
+
 NEXT = 2  # [sample] away at most are samples that show only one surface
 JUMP = 0.8  # of the difference of both sides between neighbours: an edge
 LEAST = 1e-3  # covered parts closer to 0 or 1 are whole
@@ -55,9 +57,15 @@ def find_mixed(layer: np.ndarray, confusion: np.ndarray, light: np.ndarray) -> M
         light: Brightness of samples, the same shape.
     """
     rows, cols = layer.shape
-    square = np.ones((3, 3))
-    most = scipy.ndimage.maximum_filter(layer, footprint=square, mode="nearest")
-    edge = most != scipy.ndimage.minimum_filter(layer, footprint=square, mode="nearest")
+    edge = np.zeros(layer.shape, bool)
+    box = tuple(
+        slice(max(one.start - 2, 0), one.stop + 1) for one in map(span_of, find_changes(layer))
+    )
+    most, least = (
+        filtered(layer[box], 3, mode="nearest")
+        for filtered in (scipy.ndimage.maximum_filter, scipy.ndimage.minimum_filter)
+    )
+    edge[box] = most != least
     y, x = np.nonzero(edge)
     own, other = np.full((2, len(y)), -1)
     for down, across in OFFSETS:
@@ -70,19 +78,24 @@ def find_mixed(layer: np.ndarray, confusion: np.ndarray, light: np.ndarray) -> M
             found[new] = (v * cols + u)[new]
     known = (own >= 0) & (other >= 0)
     at, own, other = (y * cols + x)[known], own[known], other[known]
-    layers, values = layer.ravel(), np.asarray(light, np.float64).ravel()
+    layers, values = layer.ravel(), np.ravel(light)
     is_front = layers[at] < layers[other]
     front, back = np.where(is_front, own, other), np.where(is_front, other, own)
     # a surface that is cut into layers has both sides' distances in steps
     depth = confusion.ravel()
-    low, high = (
-        filtered(confusion, footprint=square, mode="nearest").ravel()[at]
-        for filtered in (scipy.ndimage.minimum_filter, scipy.ndimage.maximum_filter)
-    )
+    around = np.array(
+        [
+            depth[np.clip(y[known] + v, 0, rows - 1) * cols + np.clip(x[known] + u, 0, cols - 1)]
+            for v in (-1, 0, 1)
+            for u in (-1, 0, 1)
+        ]
+    ).reshape(9, -1)
+    low, high = around.min(axis=0), around.max(axis=0)
     jumps = high - low > JUMP * np.abs(depth[front] - depth[back])
-    apart = values[front] - values[back]
+    seen, front_light, back_light = (values[one].astype(np.float64) for one in (at, front, back))
+    apart = front_light - back_light
     share = np.array(is_front, np.float64)
-    np.divide(values[at] - values[back], apart, where=apart != 0, out=share)
+    np.divide(seen - back_light, apart, where=apart != 0, out=share)
     share = np.clip(share, np.where(is_front, 0.5, 0), np.where(is_front, 1, 0.5))
     some = jumps & (np.abs(share - is_front) > LEAST)
     return Mixed(at[some], front[some], back[some], share[some].astype(np.float32))

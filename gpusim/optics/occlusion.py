@@ -33,12 +33,14 @@ class Sheet:
         alpha: Coverage, the same shape.
         radius: Radius of the blur, signed [sample], a number or the same shape.
         guessed: Share of the light that is a guess, because no picture shows it, same shape; None: none.
+        usual: Usual darkest and brightest light of all that the layer shows, if these are a part of it; None: of these.
     """
 
     light: np.ndarray
     alpha: np.ndarray
     radius: np.ndarray
     guessed: np.ndarray | None = None
+    usual: tuple[float, float] | None = None
 
     def at(self, rows: np.ndarray, cols: np.ndarray, flux: np.ndarray, border: str) -> "Sheet":
         """Return the layer at the place to which a lens or a view moves it.
@@ -63,6 +65,7 @@ class Sheet:
             find(np.asarray(self.alpha, np.float64), order=1),
             find(radius, order=0) if radius.ndim else radius,
             None if self.guessed is None else find(self.guessed.astype(np.float64), order=0) > 0.5,
+            self.usual and (self.usual[0] * flux.min(), self.usual[1] * flux.max()),
         )
 
 
@@ -223,14 +226,21 @@ def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:
             cover = scipy.ndimage.uniform_filter(cover, 2 * reach + 1, mode="nearest")
         if sheet.guessed is not None and sheet.guessed.any():
             shown = (sheet.alpha > 0) & ~sheet.guessed
-            seen = sheet.light[shown] if shown.any() else sheet.light
-            low, high = np.quantile(seen, [1 - USUAL, USUAL])
+            low, high = sheet.usual or usual_light(
+                sheet.light[shown] if shown.any() else sheet.light
+            )
             other = np.maximum(high - sheet.light, sheet.light - low) * sheet.alpha * sheet.guessed
             # light may come from anywhere within the blur
             share = scipy.ndimage.uniform_filter(other, 2 * reach + 1, mode="nearest")
         error = error + through * share
         through = through * (1 - cover)
     return error
+
+
+def usual_light(values: np.ndarray) -> tuple[float, float]:
+    """Return the darkest and the brightest of values but for a few, see USUAL."""
+    low, high = np.quantile(values, [1 - USUAL, USUAL])
+    return float(low), float(high)
 
 
 def _size(values):

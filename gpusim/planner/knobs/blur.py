@@ -41,6 +41,8 @@ DIFFRACTED = (
 NEGLIGIBLE = 0.1  # of the tolerance: what diffraction in focus makes of products is not computed
 WINDOW = 256  # [sample] a side of the part of a picture in which that is predicted
 FIELDS = ("light", "alpha", "radius")
+WHOLE = 2**17  # samples of a picture of which a part is not looked at apart
+COARSE = 8  # [sample] between places that find a part of a picture
 NEAR_FRAME = 4  # [sample] beyond a blur's reach
 LEFT = 0.15  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
@@ -191,79 +193,134 @@ def _curvature(question):
 
 def _with_occlusion(question, depth, probes, placed, notes):
     """Return the plan with the places at which layers are summed over the pupil, and with the errors that are left."""
-    picture = question.facts.brightness(question.light).astype(np.float64)
-    size = float(np.sqrt(np.mean(picture**2)))
-    if not size > 0:
+    picture = question.facts.brightness(question.light)
+    square = float(np.mean(np.square(picture, dtype=np.float64)))
+    if not square > 0:
         return depth
 
     def brightness(content):
-        if content is None:
-            return picture
-        return content.on_host().brightness(question.light).astype(np.float64)
+        return picture if content is None else content.on_host().brightness(question.light)
 
-    sheets = depth.in_brightness(brightness)
-    least = LEAST * min(question.limit or TOLERANCE, MOST_LEAST) * size
+    least = LEAST * min(question.limit or TOLERANCE, MOST_LEAST) * square**0.5
     scene = question.scene
     border = "edge" if scene.border == "scene" else scene.border
+    nodes = None
     if placed is not None or not scene.view.is_plain:
         nodes = view_nodes(scene.view, placed, question.size, scene.content.shape, question.ratio)
-        places = places_of(nodes, question.size)
-        sheets = [sheet.at(*places, border) for sheet in sheets]
+    # sources of a box of samples
+    box, sources = _around_edges(depth, nodes, question.size)
+    sheets = depth.in_brightness(brightness, sources)
+    if nodes is not None:
+        rows, cols, flux = places_of(nodes, question.size, box)
+        begin = [one.start or 0 for one in sources]
+        sheets = [sheet.at(rows - begin[0], cols - begin[1], flux, border) for sheet in sheets]
     found = find_occlusion(sheets, question.optics.pupil, border, least)
+    begin = np.array([one.start or 0 for one in box], np.int32)
+    found = replace(found, places=found.places + begin)
     known = probes() if question.tolerance is not None else None
     window, tolerance = _densest(sheets), question.tolerance
     parts = [replace(one, **{key: getattr(one, key)[window] for key in FIELDS}) for one in sheets]
     wrong = _behind_edges(question, parts)
-    product = _located(question, wrong, picture[window], known)
+    light = picture[box].astype(np.float64)
+    locate = _Locating(question, light, known, square, picture.size)
+    product = _located(question, wrong, light[window], known)
     if tolerance is None or product.ratio(tolerance) > NEGLIGIBLE:
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
-        product = product.times(_left_of(question, sheets))
+        product = product.times(_left_of(question, sheets, begin))
     # rays are as on the axis, and of a thin lens
     is_exact = question.lens.is_uniform and question.lens.is_adjustable
     left = found.error if is_exact else found.error + found.seen
-    bounds = {
-        "depth, light behind the edges of layers": total(
-            [product, _located(question, left, picture, known)]
-        )
-    }
+    bounds = {"depth, light behind the edges of layers": total([product, locate(left)])}
     if len(found.places):
         notes.leave_out(
             "diffraction at the edges of objects out of focus: rays are cut there",
-            _located(question, found.seen * DIFFRACTED, picture, known),
+            locate(found.seen * DIFFRACTED),
             "depth, diffraction at edges",
             of_scene=True,
         )
     if not depth.sheets:
         rms = depth.predicted.pop(HIDDEN)
-        bound = _located(question, hidden_light(sheets), picture, known)
-        bounds[HIDDEN] = replace(bound, rms=rms)
+        bounds[HIDDEN] = replace(locate(hidden_light(sheets)), rms=rms)
     if depth.mixed is not None and len(depth.mixed.at):
-        bounds[MIXED] = _located(question, _doubt_of(depth, picture), picture, known)
+        seen = locate
+        if sources != box:
+            light = picture[sources].astype(np.float64)
+            seen = _Locating(question, light, known, square, picture.size)
+        bounds[MIXED] = seen(_doubt_of(depth, picture, sources))
     return replace(depth, occlusion=found, bounds=bounds)
 
 
-def _doubt_of(depth, picture):
-    """Return the light that samples have of another distance if they show one surface only, (rows, cols)."""
+def _around_edges(depth, nodes, size):
+    """Return a box of samples with all light that comes from near the edges of layers, and a box of its sources.
+
+    nodes: of the places from which the samples' light comes, as of a DistortionGrid; None: from their own. size: rows
+    and columns of the samples.
+    """
+    shape = depth.confusion.shape
+    if max(shape[0] * shape[1], size[0] * size[1]) <= WHOLE:
+        return np.s_[:, :], np.s_[:, :]
+    edges = depth.edge_box()
+    # filters of this reach see others of this reach
+    reach = 2 * int(np.ceil(depth.reach + 1)) + NEAR_FRAME
+    if nodes is None:
+        box = _wider(edges, reach, size, WINDOW)
+        return box, box
+    every = tuple(np.append(np.arange(0, n - 1, COARSE), n - 1) for n in size)
+    there = np.ones([len(one) for one in every], bool)
+    for place, its in zip(places_of(nodes, size, every)[:2], edges, strict=True):
+        # what lies between these samples
+        between = max(np.abs(np.diff(place, axis=axis)).max(initial=0) for axis in (0, 1))
+        there &= (place > its.start - between - 1) & (place < its.stop + between)
+    found = [
+        slice(one[at[0]], one[at[-1]] + 1) if len(at) else slice(0, 1)
+        for one, at in zip(
+            every, (np.flatnonzero(there.any(axis=axis)) for axis in (1, 0)), strict=True
+        )
+    ]
+    box = _wider(found, reach + COARSE, size, WINDOW)
+    sources = [
+        slice(int(np.floor(place.min())), int(np.ceil(place.max())) + 1)
+        for place in places_of(nodes, size, box)[:2]
+    ]
+    return box, _wider(sources, 1, shape)
+
+
+def _wider(box, more, shape, least=1):
+    """Return a box that is wider on each side, and at least so wide, as far as a picture of a shape goes."""
+    found = []
+    for one, n in zip(box, shape, strict=True):
+        more_here = max(more, (least - (one.stop - one.start) + 1) // 2)
+        first = max(min(one.start - more_here, n - least), 0)
+        found.append(slice(first, min(max(one.stop + more_here, first + least), n)))
+    return tuple(found)
+
+
+def _doubt_of(depth, picture, box):
+    """Return the light that samples of a box have of another distance if they show one surface only, (rows, cols)."""
     mixed, error = depth.mixed, np.zeros(picture.shape)
     error.flat[mixed.at] = mixed.doubt(picture)
+    error = error[box]
     sides = depth.confusion.ravel()[np.stack([mixed.front, mixed.back])]
     return gaussian_filter(error, float(np.abs(sides).min()) / 4)
 
 
-def _left_of(question, sheets):
+def _left_of(question, sheets, begin):
     """Share of the blur of products by diffraction in focus that is left after it was computed.
 
     All of it if it is not known well: behind aberrations in focus, and at edges so near the frame's
-    that light from outside takes part.
+    that light from outside takes part. begin: first row and column of the sheets in the frame.
     """
     if not question.lens.is_airy:
         return 1.0
     for sheet in sheets[:-1]:
         reach = int(np.ceil(np.abs(sheet.radius).max())) + NEAR_FRAME
-        inside = np.zeros(sheet.alpha.shape, bool)
-        inside[reach:-reach, reach:-reach] = True
-        if np.ptp(sheet.alpha[~inside]) > 0:
+        y, x = (
+            (np.arange(first, first + m) >= reach) & (np.arange(first, first + m) < n - reach)
+            for first, m, n in zip(begin, sheet.alpha.shape, question.size, strict=True)
+        )
+        outside = sheet.alpha[~(y[:, None] & x)]
+        if outside.size and np.ptp(outside) > 0:
             return 1.0
     return LEFT
 
@@ -312,18 +369,36 @@ def _behind_edges(question, sheets):
 def _located(question, error, light, probes):
     """Return the bound of an error of the brightness at each sample, (rows, cols).
 
-    light: brightness without blur. The channel with the largest part of the light has the largest
-    error in noise sigmas.
+    light: brightness without blur.
     """
-    rms = float(np.sqrt(np.mean(error**2) / np.mean(light**2)))
-    if probes is None:
-        return Bound(rms)
-    part = question.weights.sum(axis=1)
-    part = probes.seconds * float(part.max() / part.sum())
-    # light may come from anywhere within the blur
-    level = np.maximum(gaussian_filter(light, NEAR), 0)
-    sigma = part * error / np.sqrt(np.maximum(part * level + probes.noise, 1))
-    return Bound(rms, float(np.quantile(sigma, 0.999)), float(sigma.max()))
+    return _Locating(question, light, probes, float(np.mean(light**2)), light.size)(error)
+
+
+class _Locating:
+    """Bounds of errors of the brightness at the samples of a part of a picture, 0 elsewhere.
+
+    The channel with the largest part of the light has the largest error in noise sigmas.
+
+    light: brightness without blur, (rows, cols). square, count: mean square of that of the picture, and its samples.
+    """
+
+    def __init__(self, question, light, probes, square, count):
+        self._square, self._count, self._scale = square, count, None
+        if probes is not None:
+            part = question.weights.sum(axis=1)
+            part = probes.seconds * float(part.max() / part.sum())
+            # light may come from anywhere within the blur
+            level = np.maximum(gaussian_filter(light, NEAR), 0)
+            self._scale = part / np.sqrt(np.maximum(part * level + probes.noise, 1))
+
+    def __call__(self, error) -> Bound:
+        """Return the bound of an error, (rows, cols)."""
+        part = error.size / self._count
+        rms = float(np.sqrt(np.mean(error**2) * part / self._square))
+        if self._scale is None:
+            return Bound(rms)
+        sigma = self._scale * error
+        return Bound(rms, float(np.quantile(sigma, max(1 - 0.001 / part, 0))), float(sigma.max()))
 
 
 def _without_depth(question):

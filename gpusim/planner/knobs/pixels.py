@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import partial, reduce
 from math import ceil, hypot, inf, sqrt
 from typing import Any
 
@@ -135,7 +135,8 @@ def plan_distortion(
     if distortion is None:
         return None
     seen = question.size if question.is_blurred else question.scene.samples
-    made = distortion_grid(distortion, seen, question.pitch, question.scene.content.shape)
+    given = distortion, seen, question.pitch, question.scene.content.shape
+    made = question.cache("distortion grid", distortion_grid, *given)
     if question.is_blurred:
         notes.bounds["distorted border"] = _border_bound(question, made, told())
     (move, flux), (most, largest) = made.typical, made.error
@@ -153,7 +154,7 @@ def plan_distortion(
             _with_rim(
                 question, told(), partial(Probes.interpolation_bound, phases=phases, width=width)
             )
-            for phases in place_phases(made, seen)
+            for phases in question.cache("place phases", place_phases, made, seen)
         )
         notes.bounds["distortion"] = replace(worst, rms=everywhere.rms)
     return made
@@ -287,8 +288,9 @@ def falloff_of(
             slope = sensor.pixel_pitch / optics.image_distance
         # the exposure applies the law by the places of a grid in the middle
         if optics.distortion is not None:
-            tangent = _tangent(question, slope)
-            parts["cos^4 of the undistorted field"], slope = (1 + tangent**2) ** -2, 0.0
+            given = question.distortion, shape, sensor.pixel_pitch, displacement, slope
+            law = question.cache("undistorted field", _undistorted_law, *given)
+            parts["cos^4 of the undistorted field"], slope = law, 0.0
         elif any(displacement):
             law = relative_illumination("cos4", shape, slope, 1.0, displacement=displacement)
             parts["cos^4"], slope = law, 0.0
@@ -298,8 +300,8 @@ def falloff_of(
         )
     if sensor.vignetting is not None:
         parts["pixel vignetting"] = vignetting_gain(sensor.vignetting, shape, displacement)
-    gains = np.prod(list(parts.values()), axis=0) if parts else None
-    most = 0.0 if gains is None else float(np.abs(gains - 1).max())
+    gains = reduce(np.multiply, parts.values()) if parts else None
+    most = 0.0 if gains is None else float(max(gains.max() - 1, 1 - gains.min()))
     if gains is not None and probes is not None and most < LEAST_LOSS:
         assert question.tolerance is not None
         bound = probes.even_error(most)
@@ -340,20 +342,21 @@ def _flat_of_blur(question, from_axis, probes, notes):
     return every
 
 
-def _tangent(question, slope):
-    """Tangent of the angle from the axis at which every pixel's light comes, (rows, cols).
+def _undistorted_law(distortion, shape, pitch, displacement, slope):
+    """Return cos^4 of the angle from the axis at which every pixel's light comes, (rows, cols).
 
-    slope: of a pinhole per pixel; a calibration has its own.
+    pitch: of the pixels [m]. slope: of a pinhole per pixel; a calibration has its own.
     """
-    distortion, pitch = question.distortion, question.sensor.pixel_pitch
     y, x = (
         (np.arange(n) - (n - 1) / 2 + move) * pitch / distortion.radius
-        for n, move in zip(question.scene.shape, question.sensor.displacement, strict=True)
+        for n, move in zip(shape, displacement, strict=True)
     )
     x, y = ideal(distortion, x, y[:, None])
     if isinstance(distortion, Framed):
-        return np.hypot(*distortion.normalise(x, y))
-    return np.hypot(x, y) * distortion.radius / pitch * slope
+        tangent = np.hypot(*distortion.normalise(x, y))
+    else:
+        tangent = np.hypot(x, y) * distortion.radius / pitch * slope
+    return (1 + tangent**2) ** -2
 
 
 def without_negligible(sensor: Sensor, tolerance: Tolerance | None) -> tuple[Sensor, list[str]]:
