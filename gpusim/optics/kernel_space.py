@@ -11,13 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
+import scipy.sparse.linalg
 
 from gpusim.domain.stored import stored
 from gpusim.optics.field import (
     Differences,
     error_scale,
     image_error,
-    interpolate,
     moments_of,
     spread_places,
     weigh,
@@ -263,10 +263,14 @@ def _eigen_kernels(kernels):
     for plane in range(kernels.shape[1]):
         spectra = weigh(kernels[:, plane]).reshape(len(kernels), -1)
         gram += spectra @ spectra.T
-    variances, vectors = np.linalg.eigh(gram)
+    if len(kernels) <= 4 * MOST_TERMS:
+        variances, vectors = np.linalg.eigh(gram)
+    else:
+        start = np.ones(len(kernels))  # the same each time
+        variances, vectors = scipy.sparse.linalg.eigsh(gram, MOST_TERMS, v0=start)
     variances, vectors = np.maximum(variances[::-1], 0), vectors[:, ::-1]
-    left = np.sqrt(np.maximum(variances.sum() - np.cumsum(variances), 0) / kernels[:, :, 0, 0].size)
-    left *= error_scale(kernels.shape[-1])
+    left = np.maximum(np.trace(gram) - np.cumsum(variances), 0) / kernels[:, :, 0, 0].size
+    left = np.sqrt(left) * error_scale(kernels.shape[-1])
     # below the rounding of the Gram matrix a vector is noise
     most = max(int(np.count_nonzero(variances > 1e-14 * max(variances[0], 1e-300))), 1)
     most = min(most, MOST_TERMS)
@@ -317,9 +321,17 @@ def _weights(basis):
 
 def _at(axes, coefficients, places):
     """Return coefficients (grid places, n) between the places of a grid, at others (p, 2): (p, n)."""
-    if len(axes[0]) == len(axes[1]) == 1:
-        return np.repeat(coefficients, len(places), axis=0)
-    return interpolate(axes, coefficients, places[:, 0], places[:, 1], grid=False).T
+    weights = [_spline_weights(axis, at) for axis, at in zip(axes, places.T, strict=True)]
+    both = weights[0][:, :, None] * weights[1][:, None]
+    return both.reshape(len(places), -1) @ coefficients
+
+
+def _spline_weights(axis, at):
+    """Return weights of values at nodes in their interpolating spline, cubic if there are 4, (points, nodes)."""
+    if len(axis) == 1:
+        return np.ones((len(at), 1))
+    spline = scipy.interpolate.make_interp_spline(axis, np.eye(len(axis)), min(3, len(axis) - 1))
+    return spline(at)
 
 
 def _tiles(shape, m, largest):
