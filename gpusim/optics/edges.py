@@ -9,7 +9,7 @@ MOST_LAYERS = 16
 JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
 REMAINS = 0.1  # of a covariance over the pupil, after it was summed
 STEP = 0.25  # [pixel] of circle of confusion between possible cuts of the picture
-SAMPLES = 2**18  # of a picture: of a larger one some rows stand for all, but at edges
+SAMPLES = 2**17  # of a picture: of a larger one some rows stand for all, but at edges
 BLOCK = 32  # rows that are looked at together
 
 
@@ -20,7 +20,8 @@ class Edges:
     All edges are among them, and surfaces that slope in some rows of a large picture.
 
     near, far: signed circles of confusion [pixel]. light_near, light_far: brightness. weight: pairs that each stands
-    for. lags, variation: mean square difference of brightness at these distances [pixel] within a surface.
+    for. lags, variation: mean square difference of brightness at these distances [pixel] within a surface. is_whole:
+    whether all slopes are among them.
     """
 
     near: np.ndarray
@@ -30,6 +31,7 @@ class Edges:
     weight: np.ndarray
     lags: np.ndarray
     variation: np.ndarray
+    is_whole: bool
 
     @classmethod
     def of(cls, confusion, light):
@@ -68,6 +70,7 @@ class Edges:
             np.concatenate(weights),
             np.array([0, *lags]),
             np.append(0.0, variation),
+            every == 1,
         )
 
     @property
@@ -159,9 +162,14 @@ class Edges:
         count = int(np.ceil((high - low) / STEP))
         bins = ((np.stack([self.near, self.far]) - low) / STEP).astype(int)
         first, last = np.clip(bins, 0, count - 1)
-        smooth = (first != last) & ~some
-        cost = self._layered_error(smooth) * self.weight[smooth]
-        cost = _best_cover(first[smooth], last[smooth], cost, count)
+        if self.is_whole:
+            smooth = (first != last) & ~some
+            cost = _best_cover(first[smooth], last[smooth], self._layered_error(smooth), count)
+        else:  # few of the pairs that a cut parts are in the rows that are looked at
+            middle = (self.near[~some] + self.far[~some]) / 2
+            parts = (self.far - self.near)[~some] / STEP * self.weight[~some]
+            at = np.clip(np.rint((middle - low) / STEP).astype(int), 0, count)
+            cost = np.bincount(at, self._layered_error(~some) * parts, count + 1)[:count]
         plain, layered = self._plain(), self._layered_error(some)
         first, last = first[some], last[some]
         cut = np.zeros(len(plain), bool)
@@ -182,7 +190,14 @@ class Edges:
         """Return the relative error of a picture cut at `cuts`: at the cuts, and at the edges that stay whole."""
         apart = np.searchsorted(cuts, self.near) != np.searchsorted(cuts, self.far)
         left = self._plain()[~apart[self.jumps]].sum() if self.jumps.any() else 0.0
-        cut = (self._layered_error(apart) * self.weight[apart]).sum()
+        parts = apart * 1.0
+        if not self.is_whole:
+            some, middle = ~self.jumps, (self.near + self.far) / 2
+            near_cuts = (np.abs(middle - cut) <= STEP / 2 for cut in cuts)
+            share = sum(near_cuts, np.zeros(len(middle))) * (self.far - self.near) / STEP
+            parts[some] = (share * self.weight)[some]
+        apart = parts > 0
+        cut = (self._layered_error(apart) * parts[apart]).sum()
         return float(np.sqrt((left + cut) / (power * light.size)))
 
 

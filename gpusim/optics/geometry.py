@@ -412,13 +412,14 @@ def interpolated_share(light: np.ndarray) -> np.ndarray:
     weights = _cubic_weights(places[:, None] - np.arange(-1, 3))
     both = np.einsum("vi,uj->ijvu", weights, weights).reshape(16, -1)
     for plane in light:
-        cells = np.lib.stride_tricks.sliding_window_view(plane, (4, 4)).reshape(-1, 16)
-        rough = np.flatnonzero(cells.max(axis=1) > LEAST_LOBES * cells.min(axis=1))
-        above = cells[rough] @ np.maximum(both, 0).astype(np.float32)
-        below = cells[rough] @ np.maximum(-both, 0).astype(np.float32)
+        most, least = (_of_squares(plane, find) for find in (np.maximum, np.minimum))
+        rough = np.nonzero(most > LEAST_LOBES * least)
+        cells = np.lib.stride_tricks.sliding_window_view(plane, (4, 4))[rough].reshape(-1, 16)
+        above = cells @ np.maximum(both, 0).astype(np.float32)
+        below = cells @ np.maximum(-both, 0).astype(np.float32)
         ratio = np.divide(above, below, where=below > above, out=np.ones_like(above))
         ratio = ratio.min(axis=1, initial=1.0)
-        room.flat[rough] = np.minimum(room.flat[rough], np.clip(2 * ratio - 1, 0, 1))
+        room[rough] = np.minimum(room[rough], np.clip(2 * ratio - 1, 0, 1))
     share = np.ones(light.shape[1:], np.float32)
     inside = share[3:-3, 3:-3]
     # offsets of the cells in which a sample has a negative weight
@@ -426,6 +427,14 @@ def interpolated_share(light: np.ndarray) -> np.ndarray:
     for y, x in edges + [pair[::-1] for pair in edges]:
         np.minimum(inside, room[y : y + inside.shape[0], x : x + inside.shape[1]], out=inside)
     return share
+
+
+def _of_squares(values, find):
+    """Apply np.maximum or np.minimum to each square of 4 x 4 samples: (rows - 3, cols - 3)."""
+    for _ in range(2):
+        pairs = find(values[1:], values[:-1])
+        values = find(pairs[2:], pairs[:-2]).T
+    return values
 
 
 def _cubic_weights(distance):

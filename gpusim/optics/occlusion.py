@@ -59,10 +59,10 @@ class Sheet:
             light = light * (
                 (rows > -edge) & (rows < high - edge) & (cols > -edge) & (cols < wide - edge)
             )
-        radius = np.asarray(self.radius, np.float64)
+        radius, alpha = (np.asarray(one, np.float64) for one in (self.radius, self.alpha))
         return Sheet(
             light,
-            find(np.asarray(self.alpha, np.float64), order=1),
+            find(alpha, order=1) if np.ptp(alpha) else np.full(rows.shape, alpha[0, 0]),
             find(radius, order=0) if radius.ndim else radius,
             None if self.guessed is None else find(self.guessed.astype(np.float64), order=0) > 0.5,
             self.usual and (self.usual[0] * flux.min(), self.usual[1] * flux.max()),

@@ -36,6 +36,7 @@ from gpusim.pipeline.metering import choose_exposure, metering_numbers
 from gpusim.pipeline.planning import (
     check_given,
     draft_key,
+    is_planned,
     plan_inputs,
     predict_errors,
     probe_plan,
@@ -193,6 +194,7 @@ class Loop:
         self._drift: float | None = None  # of the plan, in the last scene that was checked
         self._last: tuple | None = None  # an exposure, with its plan, scene and settings
         self._drafts = False
+        self._known: Facts | None = None  # facts of a plan that was made before
         self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
@@ -282,6 +284,22 @@ class Loop:
             probing.set_plan(plan)
         before.plan = plan, camera
         return (self._drafts and self._draft()) or plan
+
+    @property
+    def planned(self) -> tuple[Plan, Facts]:
+        """The plan, and the facts of the scene of which it was made."""
+        return self.plan, self._known or self._facts()
+
+    def reuse(self, made: Plan, facts: Facts) -> None:
+        """Use a plan of this scene and this camera if the facts of which it was made are read from the scene again.
+
+        Args:
+            made: The plan.
+            facts: The facts.
+        """
+        if is_planned(self.simulator, made, facts, self.scene):
+            self.before.plan, self._known = (made, self.simulator.camera), facts
+            self.before.probing.set_plan(made)
 
     def _draft(self):
         """Return a draft made from the existing plan; None if it is unsuitable or saves no work."""

@@ -4,19 +4,22 @@ from dataclasses import replace
 from math import ceil, prod
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, NotMet, OutOfRange, format_value
 from gpusim.domain.scene import Scene, View, checked_scene
+from gpusim.optics.depth import DepthPlan, checked_confusion
 from gpusim.optics.lengths import LENGTHS
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
-from gpusim.pipeline.reading import Reading, bytes_read_on_device
+from gpusim.pipeline.reading import Reading, bytes_read_on_device, is_read_on_device
 from gpusim.pipeline.step import steps_needed
 from gpusim.planner.after import probe_account
 from gpusim.planner.choices import Goal
 from gpusim.planner.draft import TURNED
-from gpusim.planner.facts import Facts
+from gpusim.planner.facts import Facts, OnHost
 from gpusim.planner.given import judge_given, named_parts, plan_inputs
 from gpusim.planner.knobs import highlights, spectral
 from gpusim.planner.plan import Plan, plan
@@ -211,6 +214,26 @@ def probes_for(simulator: "Simulator", scene: Scene, view: View, seconds: float)
     )
     question, picture = highlights.split(question)
     return spectral.probes_of(question, picture, picture.operation(question, seconds))
+
+
+def is_planned(simulator: "Simulator", made: Plan, facts: Facts, scene: Scene) -> bool:
+    """Return whether a plan of a scene is right for it again, although its arrays may have been written to.
+
+    All that the planner reads of the whole scene is read again and compared: brightness, distance, and pairs of rows.
+    facts: those of which the plan was made.
+    """
+    if made.scene is not scene or scene.layers or is_read_on_device(simulator.device, scene):
+        return False
+    if scene.depth is not None:
+        depth, own = made.find(DepthPlan), np.asarray(scene.depth, np.float64)
+        pitch = simulator.camera.sensor.pixel_pitch / float(scene.samples_per_pixel)
+        try:
+            found = checked_confusion(simulator.camera.optics, pitch, own, own.shape)
+        except (BadData, OutOfRange):
+            return False
+        if depth is None or not np.array_equal(found, depth.confusion):
+            return False
+    return scene.content.is_seen and facts.is_read_again(OnHost(scene.content))
 
 
 def _plan_options(simulator: "Simulator"):

@@ -94,6 +94,8 @@ class Simulator:
         sensor, self.left_out = without_negligible(camera.sensor, self.tolerance)
         self.readout = cache("readout", Readout, sensor, self.device, tables)
         self.imaging = Imaging(camera, self.device, tables)
+        # plan of the last exposure, the facts of which it was made, and the exposure time that was asked for
+        self._planned: tuple[Plan, Facts, float | None] | None = None
         return self
 
     def update(self, camera: Camera) -> "Simulator":
@@ -359,7 +361,7 @@ class Simulator:
 
         If neither the call nor the camera gives an exposure time, the sensor's `auto_exposure` chooses time and gain.
         `expose(scene, last.exposure_time, last.gain)` repeats an exposure that was metered before. It raises BadData,
-        DoesNotFit or OutOfRange.
+        DoesNotFit or OutOfRange. The last scene again, with the same light in its arrays, is not planned again.
 
         Args:
             scene: The scene.
@@ -371,5 +373,11 @@ class Simulator:
             The exposure.
         """
         loop = self.loop(scene, exposure_time, gain, plan=plan)
+        last, self._planned = self._planned, None
+        if plan is None and last is not None and last[-1] == exposure_time:
+            loop.reuse(*last[:2])
+        del last
         exposure = loop.exposure
+        if plan is None:
+            self._planned = *loop.planned, exposure_time
         return replace(exposure, plan=loop.scene_plan, is_rewritten=False)

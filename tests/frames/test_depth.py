@@ -605,3 +605,74 @@ def test_kernels_stay_within_the_widest_blur():
     assert plan_depth(LENS, PITCH, depth, light).kernels[-1] > 7.31
     ends = plan_depth(LENS, PITCH, depth, light, widest=7.4).kernels[[0, -1]]
     np.testing.assert_allclose(ends, confusion[[0, -1], 0], rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["objects", "stars"])
+def test_rows_of_a_large_picture_stand_for_all(name, monkeypatch):
+    """Errors by some rows are about those by all samples, and so is the number of layers.
+
+    Asked of every prediction is a factor 2.5. What is left out below is a sixth of that: rows of a natural picture are
+    alike. Light of single stars counts twice in differences at a distance, as a bound.
+    """
+    shape = (180, 260)
+    random, (y, x) = np.random.default_rng(3), np.indices(shape)
+    light, depth = natural(4, shape), 0.35 + 0.3 * y / shape[0]
+    if name == "stars":
+        light = np.full(shape, 0.02)
+        light[random.integers(0, 180, 9), random.integers(0, 260, 9)] = random.uniform(10, 90, 9)
+    for _ in range(12):
+        there = np.hypot(y - random.uniform(0, 180), x - random.uniform(0, 260)) < 14
+        depth[there], light[there] = random.uniform(0.2, 0.9), light[there] * random.uniform(0.3, 2)
+    whole = plan_depth(LENS, PITCH, depth, light, 4e-3, is_placed=True)
+    for module in ("edges", "depth"):
+        monkeypatch.setattr(f"gpusim.optics.{module}.SAMPLES", 2**12)
+    some = plan_depth(LENS, PITCH, depth, light, 4e-3, is_placed=True)
+    assert whole.layers > 2
+    np.testing.assert_array_equal(some.kernels, whole.kernels)
+    assert abs(some.layers - whole.layers) <= 1
+    for error, expected in whole.predicted.items():
+        assert 0.7 * expected < some.predicted[error] < 2.5 * expected, error
+
+
+@pytest.mark.parametrize("is_placed", [False, True])
+@pytest.mark.parametrize("name", ["two", "three", "given"])
+def test_a_box_around_edges_holds_all_that_a_picture_does(name, is_placed, monkeypatch):
+    """Places of the sum over the pupil are the same, and errors are no smaller: in a box and in the whole picture.
+
+    Reaches are the largest in the box, at most those of the whole picture, so some of the bounds may fall a little.
+    """
+    shape = (150, 220)
+    (y, x), light = np.indices(shape), 0.3 * natural(7, shape)
+    near, middle = np.hypot(y - 74, x - 90) < 14, np.hypot(y - 80, x - 112) < 12
+    depth, layers, nodes = 1.2 + 1.5 * y / shape[0], (), np.array([500.0, 550.0, 600.0])
+    if name == "given":
+        front = Cube(nodes, np.full((3, *shape), 0.1, np.float32))
+        layers = (Layer(front, 0.9 * near.astype(np.float32), 0.5),)
+    else:
+        depth[near], light[near] = 0.5, 0.4 * light[near]
+    if name == "three":
+        depth[middle & ~near] = 0.8
+    scene = Scene(
+        Cube(nodes, np.repeat(light[None], 3, 0).astype(np.float32)),
+        unit_light(nodes),
+        "edge",
+        depth=depth,
+        layers=layers,
+    )
+    changes = {"distortion": {"k1": -0.05, "k2": 0.0, "radius_mm": 0.3}} if is_placed else {}
+    own = open_camera("phone").with_(object_distance_m=2.0, exposure_time_ms=8, **changes)
+    monkeypatch.setattr("gpusim.planner.knobs.blur.WINDOW", 64)
+    plans = []
+    for least in (2**20, 0):
+        monkeypatch.setattr("gpusim.planner.knobs.blur.WHOLE", least)
+        plans.append(Simulator(own, device="numpy", tolerance=2e-3).plan(scene))
+    whole, part = (made.find(DepthPlan).occlusion for made in plans)
+    assert part.error.size < whole.error.size / 2
+    # thresholds of bounds from other blocks of brightest light
+    common = {tuple(at) for at in whole.places.tolist()} & {
+        tuple(at) for at in part.places.tolist()
+    }
+    assert max(len(whole.places), len(part.places)) <= 1.02 * len(common)
+    for error, expected in plans[0].account.bounds.items():
+        ratio = plans[1].account.bounds[error].rms / expected.rms
+        assert 1 / 1.5 < ratio < 1.5, error  # the window with the most edges begins elsewhere

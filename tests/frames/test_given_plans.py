@@ -479,3 +479,51 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
         ]
     )
     assert json.loads(told.read_text())["plan"] == own[0]
+
+
+@pytest.mark.parametrize("tolerance", [None, "video"])
+@pytest.mark.parametrize("has_depth", [False, True])
+def test_the_last_scene_is_planned_again_only_if_its_arrays_changed(
+    tolerance, has_depth, monkeypatch
+):
+    """Frames of a scene that was written to are those of a new scene with the same light, bit for bit."""
+    counted, plan = [0], gs.pipeline.planning.plan
+
+    def count(*args, **options):
+        counted[0] += 1
+        return plan(*args, **options)
+
+    monkeypatch.setattr("gpusim.pipeline.planning.plan", count)
+    (y, x), light = np.indices((64, 80)), np.random.default_rng(1).random((4, 64, 80))
+    depth = np.where(np.hypot(y - 32, x - 40) < 12, 0.6, 1 + 3 * y / 64) if has_depth else None
+    nodes = np.array([450.0, 500.0, 550.0, 600.0])
+    base = gs.Scene(
+        gs.Cube(nodes, light.astype(np.float32)),
+        gs.Spectrum(nodes, np.full(4, 1e15), "light"),
+        depth=depth,
+    )
+    own = PHONE.with_(object_distance_m=2.0)
+    simulator = gs.Simulator(own, device="numpy", tolerance=tolerance)
+
+    def planned(scene):
+        before = counted[0]
+        found = np.array(simulator(scene, seed=3).raw)
+        expected = counted[0]
+        copied = replace(
+            scene, content=gs.Cube(nodes, scene.content.planes.copy()), depth=scene.depth
+        )
+        other = gs.Simulator(own, device="numpy", tolerance=tolerance)(copied, seed=3)
+        np.testing.assert_array_equal(found, other.raw)
+        return expected - before
+
+    assert [planned(base), planned(base)] == [1, 0]
+    base.content.planes[2, 10, 10] *= 3
+    assert [planned(base), planned(base)] == [1, 0]
+    base.content.planes[:] = base.content.planes[:, ::-1].copy()  # the same light elsewhere
+    assert planned(base) == 1
+    if has_depth:
+        base.depth[50:] *= 1.1
+        assert planned(base) == 1
+    own = own.with_(f_number=4.0)
+    simulator = simulator.update(own)
+    assert [planned(base), planned(base)] == [1, 0]

@@ -11,6 +11,7 @@ from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
 from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth
+from gpusim.optics.edges import span_of
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.kernel_space import KernelSpace
@@ -207,15 +208,12 @@ def _with_occlusion(question, depth, probes, placed, notes):
     nodes = None
     if placed is not None or not scene.view.is_plain:
         nodes = view_nodes(scene.view, placed, question.size, scene.content.shape, question.ratio)
-    # sources of a box of samples
-    box, sources = _around_edges(depth, nodes, question.size)
+    box, sources, places = _around_edges(depth, nodes, question.size)
     sheets = depth.in_brightness(brightness, sources)
     if nodes is not None:
-        rows, cols, flux = places_of(nodes, question.size, box)
-        begin = [one.start or 0 for one in sources]
-        sheets = [sheet.at(rows - begin[0], cols - begin[1], flux, border) for sheet in sheets]
+        sheets = [sheet.at(*places, border) for sheet in sheets]
     found = find_occlusion(sheets, question.optics.pupil, border, least)
-    begin = np.array([one.start or 0 for one in box], np.int32)
+    begin = np.array([one.start for one in box], np.int32)
     found = replace(found, places=found.places + begin)
     known = probes() if question.tolerance is not None else None
     window, tolerance = _densest(sheets), question.tolerance
@@ -252,38 +250,43 @@ def _with_occlusion(question, depth, probes, placed, notes):
 
 
 def _around_edges(depth, nodes, size):
-    """Return a box of samples with all light that comes from near the edges of layers, and a box of its sources.
+    """Return a box of samples with all light that comes from near the edges of layers.
 
     nodes: of the places from which the samples' light comes, as of a DistortionGrid; None: from their own. size: rows
     and columns of the samples.
+
+    Returns:
+        The box, a box of its sources, and row, column, both from that on, and flux factor of the source of each sample
+        of the box.
     """
     shape = depth.confusion.shape
-    if max(shape[0] * shape[1], size[0] * size[1]) <= WHOLE:
-        return np.s_[:, :], np.s_[:, :]
-    edges = depth.edge_box()
+    box = sources = tuple(slice(0, n) for n in size)
     # filters of this reach see others of this reach
     reach = 2 * int(np.ceil(depth.reach + 1)) + NEAR_FRAME
+    is_part = max(shape[0] * shape[1], size[0] * size[1]) > WHOLE
     if nodes is None:
-        box = _wider(edges, reach, size, WINDOW)
-        return box, box
-    every = tuple(np.append(np.arange(0, n - 1, COARSE), n - 1) for n in size)
-    there = np.ones([len(one) for one in every], bool)
-    for place, its in zip(places_of(nodes, size, every)[:2], edges, strict=True):
-        # what lies between these samples
-        between = max(np.abs(np.diff(place, axis=axis)).max(initial=0) for axis in (0, 1))
-        there &= (place > its.start - between - 1) & (place < its.stop + between)
-    found = [
-        slice(one[at[0]], one[at[-1]] + 1) if len(at) else slice(0, 1)
-        for one, at in zip(
-            every, (np.flatnonzero(there.any(axis=axis)) for axis in (1, 0)), strict=True
-        )
-    ]
-    box = _wider(found, reach + COARSE, size, WINDOW)
-    sources = [
-        slice(int(np.floor(place.min())), int(np.ceil(place.max())) + 1)
-        for place in places_of(nodes, size, box)[:2]
-    ]
-    return box, _wider(sources, 1, shape)
+        if is_part:
+            box = sources = _wider(depth.edge_box(), reach, size, WINDOW)
+        return box, sources, None
+    if is_part:
+        every = tuple(np.append(np.arange(0, n - 1, COARSE), n - 1) for n in size)
+        there = np.ones([len(one) for one in every], bool)
+        for place, its in zip(places_of(nodes, size, every)[:2], depth.edge_box(), strict=True):
+            # what lies between these samples
+            between = max(np.abs(np.diff(place, axis=axis)).max(initial=0) for axis in (0, 1))
+            there &= (place > its.start - between - 1) & (place < its.stop + between)
+        spans = span_of(there.any(axis=1)), span_of(there.any(axis=0))
+        found = [
+            slice(one[its.start], one[its.stop - 1]) if its.stop else its
+            for one, its in zip(every, spans, strict=True)
+        ]
+        box = _wider(found, reach + COARSE, size, WINDOW)
+    rows, cols, flux = places_of(nodes, size, box)
+    sources = tuple(slice(0, n) for n in shape)
+    if is_part:
+        ends = [(int(np.floor(one.min())), int(np.ceil(one.max())) + 1) for one in (rows, cols)]
+        sources = _wider([slice(*one) for one in ends], 1, shape)
+    return box, sources, (rows - sources[0].start, cols - sources[1].start, flux)
 
 
 def _wider(box, more, shape, least=1):
