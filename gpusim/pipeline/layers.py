@@ -7,14 +7,17 @@ import numpy as np
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.composite import composite
 from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.expand import expand
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.field import field
 from gpusim.kernels.optics.occlude import occlude
+from gpusim.kernels.optics.reveal import reveal
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan, flatten
-from gpusim.optics.expansion import expand
+from gpusim.optics.expansion import choose_terms
 from gpusim.optics.kernel_space import KernelSpace
+from gpusim.optics.placed import Placed, find_box
 from gpusim.pipeline.reading import planes, store
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.choices import Blur, Fusion, Planes
@@ -54,18 +57,20 @@ def composite_layers(
         if depth.sheets and (content := depth.sheets[layer][0]) is not plan.content:
             own = planes(device, table, store(device, content))
         elif not depth.sheets and (shown := depth.shown(layer)) is not None:
-            own = _gather(planes_, shown, depth.beside(layer), device)
-        if placing is not None:
-            placing.limit(seen, own)
-        cover, light = device.array(np.asarray(coverage, np.float32)[None]), own
-        if not np.all(coverage == 1):
-            light = falloff(own, cover, device=device)
-        if placing is not None:
-            light, cover, confusion = placing.place(light, coverage, confusion)
-            coverage = device.numpy(cover)[0]
-        terms = expand(space, confusion, coverage)
+            own = reveal_layer(planes_, shown, depth.beside(layer), device)
+        covers = np.stack([coverage, coverage * (confusion - confusion.min())]).astype(np.float32)
+        if placing is None:
+            terms, covers = choose_terms(space, confusion, coverage), device.array(covers)
+            light = own if np.all(coverage == 1) else falloff(own, covers[:1], device=device)
+        else:
+            terms = choose_terms(space, confusion, coverage, placing.bounds)
+            light, covers = placing.place(seen, own, covers)
+        cover = covers[:1]
+        maps = expand(
+            covers, terms.degrees, terms.spans, space.edges, terms.limits, terms.even, device=device
+        )
         inputs = {
-            "coefficients": device.array(terms.coefficients),
+            "coefficients": maps[: len(terms.degrees)],
             "index": terms.index,
             "edges": space.edges,
             "margin": margin,
@@ -81,8 +86,8 @@ def composite_layers(
         alpha = field(cover, mix=eye, border=beyond, base=alpha, **of_cover, **inputs)
         if evening is not None:
             alpha = falloff(alpha, evening, device=device)
-        if terms.gains is not None:
-            alpha = falloff(alpha, _cut(terms.gains, margin), device=device)
+        if terms.even is not None:
+            alpha = falloff(alpha, _cut(maps[len(terms.degrees) :], margin, device), device=device)
         blurred.append(blurred_light)
         alphas.append(alpha)
         sharp.append(sharpen(light, cover, plan, device))
@@ -95,23 +100,28 @@ def composite_layers(
     return groups.occlude(groups.diffract(composed, tables), tables)
 
 
-def _gather(planes_, shown, beside, device):
+def reveal_layer(planes_, shown, beside, device) -> Any:
     """Return planes of the samples of an index (rows, cols), less the light of others: see `DepthPlan.beside`."""
-    values = np.asarray(device.numpy(planes_)).reshape(len(planes_), -1)
-    own = values[:, shown]
-    if beside is not None:
-        other, factor = beside
-        some = factor != 0
-        own[:, some] += factor[some] * (own[:, some] - values[:, other[some]])
-    return device.array(own)
+    shown = shown.ravel()
+    other, factor = (one.ravel() for one in beside or (shown, np.zeros(shown.size, np.float32)))
+    at = np.flatnonzero((shown != np.arange(shown.size)) | (factor != 0))
+    index = np.stack([at, shown[at], other[at]]).astype(np.int32)
+    return reveal(planes_, index, factor[at], device=device)
 
 
-def _cut(gains, margin):
+def _cut(gains, margin, device):
     """Return gains (C, rows, cols) without a margin, or with more of the outermost if it is negative."""
-    if margin < 0:
-        return np.pad(gains, ((0, 0), (-margin, -margin), (-margin, -margin)), mode="edge")
-    return np.ascontiguousarray(
-        gains[:, margin : gains.shape[1] - margin, margin : gains.shape[2] - margin]
+    if not margin:
+        return gains
+    starts = [np.arange(margin, size - margin).clip(0, size - 1) for size in gains.shape[1:]]
+    (rows, cols), one = (at.astype(np.int32) for at in starts), np.ones
+    return sample(
+        gains,
+        rows,
+        one((len(rows), 1), np.float32),
+        cols,
+        one((len(cols), 1), np.float32),
+        device=device,
     )
 
 
@@ -158,7 +168,7 @@ class _Groups:
         changed = occlude(
             base,
             device.stack([light for light, _ in self._sharp]),
-            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
+            device.stack([cover[0] for _, cover in self._sharp]),
             places,
             members,
             radii,
@@ -264,46 +274,56 @@ class _Placing:
     """Displaces parts of layers and their coverage. See `composite_layers`."""
 
     def __init__(self, places, lights, zoom, gains, shape, border, beyond, device):
-        self._places, self._lights = places, lights
+        *self._places, nodes = places
+        self._lights = lights
         self._evening, self._density = gains, 1.0 if gains is not None else zoom**2
         self._shape, self._border, self._beyond, self._device = shape, border, beyond, device
-        self._limits = self._gain = None
+        self.bounds, self._gain, self._limits = Placed(nodes, shape, shape), None, None
         if lights is None:  # by area: coverage of 1 remains 1
             ones = np.ones((1, *shape), np.float32)
             whole = distort(ones, places[1], shape, beyond, "area", device=device)
             self._gain = device.array(1 / np.asarray(device.numpy(whole)))
 
-    def limit(self, seen, own):
-        """Take by area, of the layer with the planes `own`, all samples next to which cubics would fall below 0.
+    def place(self, seen, own, covers):
+        """Return planes of a layer's light, and its coverage and what goes with it, displaced.
 
-        seen: planes of the picture without blur. A part of a surface falls below 0 at its edges, but their sum
-        does not.
+        seen: planes of the picture without blur. own: of the layer, not yet times its coverage. covers: see
+        `optics.distort`.
+
+        All samples next to which cubics would fall below 0, of the picture or of the layer, are taken by area. A part
+        of a surface falls below 0 at its edges, but their sum does not.
         """
-        if self._lights is None:
-            return
-        table, device = self._lights.astype(np.float32), self._device
-        self._limits = integrate(seen, table, device=device)
-        if own is not seen:
-            both = device.stack([self._limits, integrate(own, table, device=device)])
-            self._limits = device.reshape(both, (2 * len(table), *both.shape[2:]))
-
-    def place(self, light, coverage, confusion):
-        """Return planes of light and a coverage (1, rows, cols), displaced, and circles of confusion on the host."""
         (of_light, of_cover), shape, device = self._places, self._shape, self._device
-        low, high = float(confusion.min()), float(confusion.max())
-        covers = np.stack([coverage, coverage * (confusion - low)]).astype(np.float32)
         if self._lights is None:
+            covers, light = device.array(covers), own
+            light = falloff(light, covers[:1], device=device)
             light = distort(
                 light, of_light, shape, self._border, "area", self._density, device=device
             )
             if self._evening is not None:
                 light = falloff(light, self._evening, device=device)
             covers = distort(covers, of_cover, shape, self._beyond, "area", device=device)
-            covers = falloff(covers, self._gain, device=device)
-        else:
-            limits = self._limits
-            light = distort(light, of_light, shape, self._border, light=limits, device=device)
-            covers = distort(covers, of_cover, shape, self._beyond, light=limits, device=device)
-        cover, moved = np.asarray(device.numpy(covers))
-        at = np.divide(moved, cover, out=np.zeros_like(moved), where=np.abs(cover) > 1e-6)
-        return light, device.array(cover[None].copy()), np.clip(at + low, low, high)
+            return light, falloff(covers, self._gain, device=device)
+        lit = find_box(covers[0])
+        placed = distort(
+            own,
+            of_light,
+            shape,
+            self._border,
+            light=self._limit(seen, own),
+            cover=covers,
+            lit=lit,
+            window=self.bounds.find_window(lit),
+            device=device,
+        )
+        return placed[: own.shape[0]], placed[own.shape[0] :]
+
+    def _limit(self, seen, own):
+        """Return the channels of the picture, and of the layer if it has other light."""
+        table, device = self._lights.astype(np.float32), self._device
+        if self._limits is None:
+            self._limits = integrate(seen, table, device=device)
+        if own is seen:
+            return self._limits
+        both = device.stack([self._limits, integrate(own, table, device=device)])
+        return device.reshape(both, (2 * len(table), *both.shape[2:]))

@@ -8,6 +8,7 @@ import numpy as np
 from gpusim.color.shading import phase_gains, relative_response, shading_gains
 from gpusim.domain.scene import View
 from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.expand import expand
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.far import far
 from gpusim.kernels.optics.field import field, transfer
@@ -16,7 +17,7 @@ from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
-from gpusim.optics.expansion import expand
+from gpusim.optics.expansion import choose_terms
 from gpusim.optics.geometry import evening, view_nodes
 from gpusim.optics.highlights import (
     PointKernels,
@@ -51,14 +52,17 @@ def place_samples(view: View, **constants) -> Any:
 
 
 def place_layers(view: View, *, grid, seen, shape, ratio, device) -> tuple:
-    """Return the positions of light, and of coverage, which has no flux factor: arrays for `optics.distort`."""
+    """Return the positions of light, and of coverage, which has no flux factor, for `optics.distort`.
+
+    The third result is the positions of light on the host.
+    """
     if view.is_plain and grid is not None:
         nodes = grid.nodes
     else:
         nodes = view_nodes(view, grid, seen, shape, ratio)
     cover = nodes.copy()
     cover[..., 2] = 1
-    return device.array(nodes[None]), device.array(cover[None])
+    return device.array(nodes[None]), device.array(cover[None]), nodes
 
 
 def zoom_of(view: View) -> float:
@@ -147,10 +151,13 @@ def make_depth_tables(*, space: KernelSpace, covers: int, margin: int, device) -
         return *parts, None
     rows, cols = (int(edge[-1]) - space.kernels.shape[-1] // 2 for edge in space.edges)
     circles = np.full((rows, cols), space.nodes[space.reference])
-    terms = expand(space, circles, np.ones((rows, cols)))
+    whole = np.ones((rows, cols), np.float32)
+    terms = choose_terms(space, circles, whole)
+    even = device.array(np.stack([whole, 0 * whole]))
+    maps = expand(even, terms.degrees, terms.spans, space.edges, terms.limits, device=device)
     flat = field(
         np.ones((1, rows, cols), np.float32),
-        terms.coefficients,
+        maps,
         index=terms.index,
         edges=space.edges,
         mix=np.eye(covers, dtype=np.float32),

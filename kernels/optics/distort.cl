@@ -126,11 +126,13 @@ __kernel void rooms(
     __global const float *restrict light,  // [channels][rows + 3][cols + 3], 3 samples around the frame's
     // out:
     __global float *restrict room,         // [rows][cols], of cells
+    // params:
+    const int top, const int left,         // first of the cells that are computed
     // sizes:
-    const int channels, const int rows, const int cols)
+    const int channels, const int rows, const int cols, const int high, const int wide)
 {
-    const int x = get_global_id(0), y = get_global_id(1);
-    GUARD(x >= cols || y >= rows)
+    const int dx = get_global_id(0), dy = get_global_id(1), x = left + dx, y = top + dy;
+    GUARD(dx >= wide || dy >= high)
     const int pitch = cols + 3;
     float least = 1.0f;
     for (int c = 0; c < channels; ++c) {
@@ -160,8 +162,10 @@ __kernel void shares(
     __global const float *restrict room,  // [rows + 3][cols + 3]
     // out:
     __global float *restrict share,       // [rows][cols]
+    // params:
+    const int top, const int left,        // first sample whose share is computed; it is 1 elsewhere
     // sizes:
-    const int rows, const int cols)
+    const int rows, const int cols, const int high, const int wide)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= cols || y >= rows)
@@ -169,20 +173,40 @@ __kernel void shares(
     __global const float *at = room + (size_t)y * pitch + x;
     const float down = fmin(fmin(at[1], at[2]), fmin(at[3 * pitch + 1], at[3 * pitch + 2]));
     const float across = fmin(fmin(at[pitch], at[2 * pitch]), fmin(at[pitch + 3], at[2 * pitch + 3]));
-    share[y * cols + x] = fmin(down, across);
+    const int computed = y >= top && y < top + high && x >= left && x < left + wide;
+    share[y * cols + x] = computed ? fmin(down, across) : 1.0f;
 }
 
+// No light outside of a window.
+__kernel void clear(
+    // out:
+    __global float *restrict out,
+    // sizes:
+    const int count, const int rows, const int cols)
+{
+    const int x = get_global_id(0), y = get_global_id(1), p = get_global_id(2);
+    GUARD(x >= cols || y >= rows || p >= count)
+    out[((size_t)p * rows + y) * cols + x] = 0.0f;
+}
+
+#ifndef COVERS
+#define COVERS 0
+#endif
 // As `cubic`, of each sample's share; the rest of it by area, over the 4 x 4 samples that the cubic takes.
 __kernel void limited(
     // in:
     __global const float *restrict planes, __global const float *restrict lines, __global const float *restrict share,
+    __global const float *restrict cover,  // [COVERS][source_rows][source_cols]; any array if COVERS is 0
     // out:
-    __global float *restrict out,
+    __global float *restrict out,          // [maps PLANES + COVERS][rows][cols]
+    // params:
+    const int top, const int left,         // first of the pixels that are computed
     // sizes:
-    const int source_rows, const int source_cols, const int nx, const int maps, const int rows, const int cols)
+    const int source_rows, const int source_cols, const int nx, const int maps, const int rows, const int cols,
+    const int high, const int wide)
 {
-    const int x = get_global_id(0), y = get_global_id(1), m = get_global_id(2);
-    GUARD(x >= cols || y >= rows || m >= maps)
+    const int dx = get_global_id(0), dy = get_global_id(1), m = get_global_id(2), x = left + dx, y = top + dy;
+    GUARD(dx >= wide || dy >= high || m >= maps)
     __global const float *line = lines + ((size_t)m * (2 * rows + 1) + 2 * y) * nx * 3;
     const float3 at = place(line + 3 * nx, 2 * x + 1, nx, cols);
     const float floor_y = floor(at.x), floor_x = floor(at.y);
@@ -191,6 +215,9 @@ __kernel void limited(
     const float in_y[4] = {wy.x, wy.y, wy.z, wy.w}, in_x[4] = {wx.x, wx.y, wx.z, wx.w};
     float w[16], rest[16], least = 1.0f;
     int from[16];
+#if COVERS
+    float of_cover[16];
+#endif
 #pragma unroll
     for (int k = 0; k < 16; ++k) {
         const int at_y = first_y + k / 4, at_x = first_x + k % 4;
@@ -201,6 +228,9 @@ __kernel void limited(
         least = fmin(least, part);
         w[k] = dropped ? 0.0f : at.z * in_y[k / 4] * in_x[k % 4] * part;
         rest[k] = dropped ? 0.0f : 1.0f - part;
+#if COVERS
+        of_cover[k] = in_y[k / 4] * in_x[k % 4] * part;  // coverage goes on beyond a dark border
+#endif
     }
     if (least < 1.0f) {  // rarely
         const float3 c00 = place(line, 2 * x, nx, cols);
@@ -222,7 +252,22 @@ __kernel void limited(
         }
         const float per = at.z / whole;
         for (int k = 0; k < 16; ++k) w[k] += per * overlaps[k] * rest[k];
+#if COVERS
+        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - share[from[k]]);
+#endif
     }
+#if COVERS
+#pragma unroll
+    for (int p = 0; p < (m == 0 ? COVERS : 0); ++p) {  // by the first grid
+        __global const float *plane = cover + (size_t)p * source_rows * source_cols;
+        float total = 0.0f;
+#pragma unroll
+        for (int k = 0; k < 16; ++k) total += of_cover[k] * plane[from[k]];
+        out[((size_t)(maps * PLANES + p) * rows + y) * cols + x] = total;
+    }
+#pragma unroll
+    for (int k = 0; k < 16; ++k) w[k] *= cover[from[k]];
+#endif
 #pragma unroll
     for (int p = 0; p < PLANES; ++p) {
         __global const float *plane = planes + (size_t)(m * PLANES + p) * source_rows * source_cols;

@@ -1,8 +1,8 @@
 """Geometric resampling that conserves flux: distortion and lateral colour.
 
 Ports: planes (planes, source_rows, source_cols) float32, grids (1 or planes, ny, nx, 3) float32 [,
-light (channels, source_rows, source_cols) float32] -> distorted (planes, rows, cols) float32 in the
-planes' unit (energy per area).
+light (channels, source_rows, source_cols) float32, cover (values, source_rows, source_cols) float32]
+-> distorted (planes + values, rows, cols) float32 in the planes' unit (energy per area).
 
 A grid divides the frame evenly. Its outermost nodes lie on the frame's edges, half a pixel beyond
 the indices of the outermost pixels. Each node holds the offsets from a pixel's row and column to
@@ -41,6 +41,9 @@ def distort(
     method: str = "cubic",
     density: float = 1.0,
     light: Array | None = None,
+    cover: Array | None = None,
+    lit: tuple[slice, slice] | None = None,
+    window: tuple[slice, slice] | None = None,
 ) -> Array:
     """Resample every plane through the inverse mapping of `grids`.
 
@@ -57,6 +60,12 @@ def distort(
         light: The source in each channel, any unit, shape (channels, source_rows, source_cols), for
             the method "cubic" with up to two samples per pixel. Without it, results may be
             negative.
+        cover: With `light`: coverage of the samples by a layer [1], which multiplies the planes, and
+            values that are multiplied by it already, shape (values, source_rows, source_cols). They
+            are placed with all planes by the first grid, without J, and go on at the edge of a dark
+            world. They follow the planes in the result.
+        lit: With `cover`: rows and columns of the source outside of which it is 0.
+        window: With `cover`: rows and columns of the result outside of which nothing is covered.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -88,22 +97,52 @@ def distort(
         own_defines = {**defines, "SPAN": span}
         launch("area", grid, planes, lines, out, *numbers, *sizes, defines=own_defines)
         return out
-    share = [] if light is None else [_shares(device, light, border)]
-    sizes = (*warp_only(device, BORDERS[border], per_map), *sizes)
-    launch("limited" if share else "cubic", grid, planes, lines, *share, out, *sizes)
+    numbers = warp_only(device, BORDERS[border], per_map)
+    if light is None:
+        launch("cubic", grid, planes, lines, out, *numbers, *sizes)
+        return out
+    values = 0
+    if cover is not None:
+        cover = device.array(cover)
+        values = cover.shape[0]
+        out = device.empty((count + values, *shape))
+        if _corner(window, shape)[1] != tuple(shape):
+            launch("clear", out.shape, out, *out.shape)
+    share = _shares(device, light, border, lit)
+    (top, left), size = _corner(window, shape)
+    launch(
+        "limited",
+        (maps, *size),
+        *(planes, lines, share, planes if cover is None else cover, out, top, left),
+        *numbers,
+        *warp_only(device, values),
+        *sizes,
+        *size,
+        defines={**defines, "COVERS": values} if values else defines,
+    )
     return out
 
 
-def _shares(device, light, border):
-    """Return the part of every sample that cubics may interpolate, (rows, cols)."""
+def _corner(window, shape):
+    """Return the first place (row, column) of a window, and its size; None: the whole shape."""
+    if window is None:
+        return (0, 0), tuple(shape)
+    spans = [range(n)[part] for part, n in zip(window, shape, strict=True)]
+    return tuple(span.start for span in spans), tuple(len(span) for span in spans)
+
+
+def _shares(device, light, border, lit):
+    """Return the part of every sample that cubics may interpolate, (rows, cols); 1 outside of the window `lit`."""
     light = device.array(light)
     channels, rows, cols = light.shape
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
     room = device.empty((rows + 3, cols + 3))
     share = device.empty((rows, cols))
+    first, (high, wide) = _corner(lit, (rows, cols))
     launch = functools.partial(device.launch, "optics.distort", defines={"PLANES": 1, "BORDER": 0})
-    launch("rooms", room.shape, around, room, channels, *room.shape)
-    launch("shares", share.shape, room, share, rows, cols)
+    cells = high + 3, wide + 3
+    launch("rooms", cells, around, room, *first, channels, *room.shape, *cells)
+    launch("shares", share.shape, room, share, *first, rows, cols, high, wide)
     return share
 
 
@@ -175,6 +214,20 @@ def cases():
             {"planes": planes, "light": planes[:2], **sampling},
             4e-6 + 4e-7 * far * 4,
             "as below; shares are twice quotients that round by 5e-7, areas round as places do: 2e-6 more",
+        )
+        part = np.s_[rows // 4 : rows - rows // 4, cols // 5 : cols - cols // 8]
+        cover = np.zeros((2, rows, cols), np.float32)
+        cover[0][part] = random.random((rows, cols))[part] ** 2
+        cover[1] = cover[0] * random.uniform(0, 5, (rows, cols))
+        near = [slice(max(s.start - int(far) - 3, 0), s.stop + int(far) + 3) for s in part]
+        yield Case(
+            f"a layer, {rows}x{cols}, {maps} maps, {strength:+.2f}, {border}",
+            {
+                **{"planes": planes, "light": planes[:2], "cover": cover, **sampling},
+                **{"lit": part, "window": tuple(near)},
+            },
+            5 * (4e-6 + 4e-7 * far * 4),
+            "as above, relative to the light; values of a layer are up to five times as large",
         )
     for rows, cols, planes, maps, strength, turn, step, border, method in (
         (1, 1, 1, 1, 0.0, 0.0, 4, "edge", "cubic"),

@@ -141,16 +141,39 @@ def _as_bright_as_j(grid, shape):
     return 2 * flux / np.abs(doubled)
 
 
-def distort(planes, grids, shape, border, method="cubic", density=1.0, light=None):
-    """Return the stage's result, see `distort.py`."""
+def distort(
+    planes,
+    grids,
+    shape,
+    border,
+    method="cubic",
+    density=1.0,
+    light=None,
+    cover=None,
+    lit=None,
+    window=None,
+):
+    """Return the stage's result, see `distort.py`; `lit` does not change it."""
     share = 1.0 if light is None or method == "area" else _share(np.asarray(light), border)
+    if cover is not None:
+        planes = np.asarray(planes, np.float64) * cover[0]
+    planes = np.split(np.asarray(planes), len(grids))
+    parts = [(own, grid, border) for own, grid in zip(planes, grids, strict=True)]
+    if cover is not None:  # without J, and beyond a dark border
+        even = np.concatenate([grids[0][..., :2], np.ones_like(grids[0][..., 2:])], axis=-1)
+        parts.append((np.asarray(cover), even, "edge" if border == "zero" else border))
     out = []
-    for grid, own in zip(grids, np.split(np.asarray(planes), len(grids)), strict=True):
+    for own, grid, beyond in parts:
         if method == "area":
-            out.append(_area(own, grid, shape, border, density))
+            out.append(_area(own, grid, shape, beyond, density))
             continue
-        out.append(_cubic(own * share, grid, shape, border))
+        out.append(_cubic(own * share, grid, shape, beyond))
         if np.any(share != 1):
-            spread = _area(own * (1 - share), grid, shape, border, 1.0)
+            spread = _area(own * (1 - share), grid, shape, beyond, 1.0)
             out[-1] += spread * _as_bright_as_j(grid, shape)
-    return np.concatenate(out)
+    found = np.concatenate(out)
+    if window is not None:
+        inside = np.zeros(shape, bool)
+        inside[window] = True
+        found *= inside
+    return found

@@ -194,13 +194,20 @@ def rooms(
     light: wp.array3d[float],
     # out:
     room: wp.array2d[float],
+    # params:
+    top: int,
+    left: int,
     # sizes:
     channels: int,
     rows: int,
     cols: int,
+    high: int,
+    wide: int,
 ):
     # part of the samples next to a cell, outside of it, that its interpolants can take above 0
-    y, x = wp.tid()
+    dy, dx = wp.tid()
+    y = top + dy
+    x = left + dx
     least = float(1.0)
     for c in range(channels):
         for v in range(3):
@@ -225,9 +232,14 @@ def shares(
     room: wp.array2d[float],
     # out:
     share: wp.array2d[float],
+    # params:
+    top: int,
+    left: int,
     # sizes:
     rows: int,
     cols: int,
+    high: int,
+    wide: int,
 ):
     # as much of each sample as the cells allow where its weight is negative
     y, x = wp.tid()
@@ -237,7 +249,23 @@ def shares(
     across = wp.min(
         wp.min(room[y + 1, x], room[y + 2, x]), wp.min(room[y + 1, x + 3], room[y + 2, x + 3])
     )
-    share[y, x] = wp.min(down, across)
+    share[y, x] = 1.0
+    if y >= top and y < top + high and x >= left and x < left + wide:
+        share[y, x] = wp.min(down, across)
+
+
+@wp.kernel
+def clear(
+    # out:
+    out: wp.array3d[float],
+    # sizes:
+    count: int,
+    rows: int,
+    cols: int,
+):
+    # no light outside of a window
+    p, y, x = wp.tid()
+    out[p, y, x] = 0.0
 
 
 @wp.func
@@ -262,11 +290,15 @@ def limited(
     planes: wp.array3d[float],
     lines: wp.array3d[float],
     share: wp.array2d[float],
+    cover: wp.array3d[float],
     # out:
     out: wp.array3d[float],
     # params:
+    top: int,
+    left: int,
     border: int,
     per_map: int,
+    covers: int,
     # sizes:
     source_rows: int,
     source_cols: int,
@@ -274,9 +306,13 @@ def limited(
     maps: int,
     rows: int,
     cols: int,
+    high: int,
+    wide: int,
 ):
     # as `cubic`, of each sample's share; the rest by area, over the cubic's 4 x 4 samples
-    m, y, x = wp.tid()
+    m, dy, dx = wp.tid()
+    y = top + dy
+    x = left + dx
     at = place(lines, m, 2 * y + 1, 2 * x + 1, nx, cols)
     from_y = wp.floor(at[0]) - 1.0
     from_x = wp.floor(at[1]) - 1.0
@@ -304,15 +340,27 @@ def limited(
                 whole += overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
     for p in range(m * per_map, (m + 1) * per_map):
         out[p, y, x] = 0.0
+    own = 0  # values of the layer, by the first grid
+    if m == 0:
+        own = covers
+    for p in range(maps * per_map, maps * per_map + own):
+        out[p, y, x] = 0.0
     for i in range(4):
         sy = inside(first_y + i, source_rows, border)
         for j in range(4):
             sx = inside(first_x + j, source_cols, border)
+            part = share[sy, sx]
+            w = at[2] * wy[i] * wx[j] * part
+            of_cover = wy[i] * wx[j] * part
+            if part < 1.0:
+                area_of = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
+                w += at[2] * area_of / whole * (1.0 - part)
+                of_cover += area_of / whole * (1.0 - part)
+            if covers > 0:
+                w *= cover[0, sy, sx]
+            for p in range(own):  # coverage goes on beyond a dark border
+                number = maps * per_map + p
+                out[number, y, x] = out[number, y, x] + of_cover * cover[p, sy, sx]
             if border != 0 or (sy == first_y + i and sx == first_x + j):
-                part = share[sy, sx]
-                w = at[2] * wy[i] * wx[j] * part
-                if part < 1.0:
-                    area_of = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
-                    w += at[2] * area_of / whole * (1.0 - part)
                 for p in range(m * per_map, (m + 1) * per_map):
                     out[p, y, x] = out[p, y, x] + w * planes[p, sy, sx]
