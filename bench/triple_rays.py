@@ -3,16 +3,20 @@
 A point of the pupil sees sharp sheets, displaced by the slope of each sheet's wavefront there, and
 nearer ones hide farther ones. The mean over the pupil is the image of geometrical optics. Sheets
 that are composed after their blur miss the covariance of coverage and light: over the pupil, and
-within the blur of the lens in focus, before which points are hidden. The difference of rays, blurred
-by the lens in focus, and of the composition of each sheet's mean, blurred so, is added to sums that
-are composed so.
+within the blur of diffraction, before which points are hidden. The difference of rays, blurred by
+diffraction, and of the composition of each sheet's mean, blurred so, is added to sums that are
+composed so. A measured lens has no rays of its own: its blur in focus is taken for diffraction.
 """
+
+from dataclasses import replace
 
 import numpy as np
 import scipy
 import triple_brute as brute
 from scipy.ndimage import shift
-from triple_lens import kernels, measured_kernels
+from triple_lens import Lens, kernels, measured_kernels
+
+from gpusim.domain.pupil import Wavefront
 
 POINTS = 300  # of the pupil
 NEAR = 20  # [sample] around the places of rays
@@ -82,7 +86,10 @@ def hidden_difference(lens, sheets, weights, chosen_from, by_distance, slopes) -
     if optics.model == "measured":
         (own,) = measured_kernels(lens, middle, [place[:2]], FAR)
     else:
-        (own,) = kernels(lens, middle, [place], FAR)
+        # rays have the aberrations
+        flat = replace(optics, wavefront=Wavefront(), defocus=0.0, lateral_color=0.0)
+        plain = Lens(scene, replace(lens.camera, optics=flat))
+        (own,) = kernels(plain, middle, [place], FAR)
 
     def blurred(planes):
         wide = np.pad(planes, ((0, 0), (FAR, FAR), (FAR, FAR)), mode="edge")

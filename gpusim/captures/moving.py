@@ -8,7 +8,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gpusim.captures.parallax import guess_error, samples_per_radian, see_from
+from gpusim.captures.parallax import between_error, guess_error, samples_per_radian, see_from
 from gpusim.captures.smear import Path, accumulate, convolve, mixing_form, sum_errors
 from gpusim.domain.account import SAFETY, Bound
 from gpusim.domain.animation import Animation
@@ -246,13 +246,13 @@ def expose_motion(
     else:
         times = times if step else times[:1]
         scenes = [moving.at(time) if moving else scene for time in times]
-        guessed = None
+        seen = []
         if travels:
             seen = [
                 see_from(one, simulator.camera, motion.place(time))
                 for one, time in zip(scenes, times, strict=True)
             ]
-            scenes, guessed = [one.scene for one in seen], np.mean([one.guessed for one in seen], 0)
+            scenes = [one.scene for one in seen]
         scenes = [one.viewed(motion.at(time)) for one, time in zip(scenes, times, strict=True)]
         exposure = expose_moving(simulator, scenes, times, seconds, start, gain, flicker, plan)
         views = [one.view for one in scenes]
@@ -261,7 +261,12 @@ def expose_motion(
     account = exposure.plan.account
     bounds = account.bounds | {"view": resampled, "shutter": wrong}
     if travels:
-        bounds["surfaces that were hidden"] = _guess_error(simulator, exposure, guessed, ratio)
+        own = simulator, exposure, ratio
+        bounds["surfaces that were hidden"] = _bound(
+            guess_error, np.mean([one.guessed for one in seen], 0), *own
+        )
+        moved = _bound(between_error, np.mean([one.between for one in seen], 0), *own)
+        bounds["view"] = sum_errors([resampled, moved])
     account, models = dataclasses.replace(account, bounds=bounds), exposure.plan.models
     if words:
         models = models | {"sensor.shutter": f"{words}; {models['sensor.shutter']}"}
@@ -269,17 +274,17 @@ def expose_motion(
     return dataclasses.replace(exposure, plan=changed)
 
 
-def _guess_error(simulator, exposure, guessed, ratio):
-    """Return the error of light of surfaces that were hidden. guessed: coverage of each sample."""
+def _bound(error_of, values, simulator, exposure, ratio):
+    """Return the bound that `error_of` (values, mean, sigma) gives for each pixel. values: of each sample."""
     mean = np.asarray(exposure.mean, np.float64)
     rows, cols = ((np.arange(n) + 0.5) * ratio for n in mean.shape[-2:])
-    margin = [(own - ratio * n) / 2 for own, n in zip(guessed.shape, mean.shape[-2:], strict=True)]
+    margin = [(own - ratio * n) / 2 for own, n in zip(values.shape, mean.shape[-2:], strict=True)]
     y, x = (
         np.clip((part + more).astype(int), 0, n - 1)
-        for part, more, n in zip((rows, cols), margin, guessed.shape, strict=True)
+        for part, more, n in zip((rows, cols), margin, values.shape, strict=True)
     )
     sigma = np.sqrt(np.maximum(mean + simulator.camera.sensor.read_sigma**2, 1))
-    return guess_error(guessed[np.ix_(y, x)], mean, sigma)
+    return error_of(values[np.ix_(y, x)], mean, sigma)
 
 
 def parallax_step(scene: Scene, camera: Camera, motion: Motion, times) -> float:

@@ -16,6 +16,7 @@ JUMP = 0.5  # [sample] difference of displacement between neighbours that are di
 MOST_SHEETS = 6  # surfaces that a depth map is cut into
 STEPS, SETTLED = 60, 1e-4  # of the search for a sample's place, and its precision [sample]
 LOST = 0.01  # [sample] error of a place that counts as not found: its light is a guess
+LEAST = 0.01  # of a picture's mean brightness: errors in darker places are relative to it
 BORDERS = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect", "scene": "nearest"}
 
 
@@ -37,11 +38,14 @@ class Moved:
         guessed: Coverage of each sample by light that the scene does not have: surfaces that were
             hidden, for which their own surroundings are taken, and steep ones, (rows, cols).
         error: Largest distance of a sample that is not guessed from its place [sample].
+        between: Error of light and coverage between samples, relative to the brightness of the
+            picture there, but at least LEAST of its mean, (rows, cols).
     """
 
     scene: Scene
     guessed: np.ndarray
     error: float
+    between: np.ndarray
 
 
 def samples_per_radian(scene: Scene, camera: Camera) -> float:
@@ -111,7 +115,8 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
         )
     focal = samples_per_radian(scene, camera)
     if not move.any():
-        return Moved(scene, np.zeros(scene.content.shape, np.float32), 0.0)
+        nothing = np.zeros(scene.content.shape, np.float32)
+        return Moved(scene, nothing, 0.0, nothing)
     mode = BORDERS[scene.border]
     sheets = [
         _Sheet(
@@ -123,7 +128,7 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
         for layer in scene.layers
     ]
     sheets += _cut(scene, focal, move)
-    layers, worst, through = [], 0.0, np.ones(scene.content.shape)
+    layers, parts, worst, through = [], [], 0.0, np.ones(scene.content.shape)
     guessed = np.zeros(scene.content.shape)
     for sheet in sheets:
         places, depth, error = _places(sheet.depth, focal, move)
@@ -140,6 +145,12 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
             np.maximum(planes, 0, out=planes)  # splines ring next to steps
         content = sheet.content.with_planes(planes.astype(np.float32))
         layers.append(Layer(content, alpha.astype(np.float32), depth))
+        before, after = (one.entry_spectra.sum(axis=1) for one in (sheet.content, content))
+        bright = np.tensordot(after, content.planes, 1)
+        finer = _at(np.tensordot(before, sheet.content.planes, 1), places, 5, mode)
+        if content.planes.min() >= 0:
+            np.maximum(finer, 0, out=finer)
+        parts.append((bright, np.abs(bright - finer), alpha, _between(sheet.alpha, places)))
     *front, back = layers
     moved = replace(
         scene,
@@ -147,7 +158,50 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
         depth=np.asarray(back.depth),
         layers=tuple(layer for layer in _in_order(front, back.depth) if layer.alpha.any()),
     )
-    return Moved(moved, guessed.astype(np.float32), worst)
+    return Moved(moved, guessed.astype(np.float32), worst, _compose_errors(parts))
+
+
+def _between(alpha, places):
+    """Return the error of a coverage that is linear between its samples.
+
+    An edge that covers f of a sample is off by up to f (1 - f) and by the fraction of a sample by
+    which it moves, and by half of a second difference, which is less where a coverage changes slowly.
+    """
+    alpha = np.asarray(alpha, np.float64)
+    second = [
+        np.abs(scipy.ndimage.convolve1d(alpha, [1, -2, 1], axis=axis, mode="nearest"))
+        for axis in (0, 1)
+    ]
+    second = scipy.ndimage.maximum_filter(np.maximum(*second), 3, mode="nearest")
+    error = np.minimum(alpha * (1 - alpha), second / 2)
+    if not error.any():
+        return error
+    error = _at(scipy.ndimage.maximum_filter(error, 3, mode="nearest"), places, 1, "nearest")
+    return np.minimum(error, np.abs(places - np.rint(places)).sum(axis=0))
+
+
+def _compose_errors(parts):
+    """Return the error of layers over the brightness of their picture. parts: of layers, nearest first.
+
+    Each is the brightness, its error, the coverage and its error, (rows, cols).
+    """
+    *front, (light, error, _, _) = parts
+    for own, wrong, alpha, uneven in reversed(front):
+        error = alpha * wrong + (1 - alpha) * error + uneven * np.abs(own - light)
+        light = alpha * own + (1 - alpha) * light
+    least = max(LEAST * float(light.mean()), np.finfo(np.float32).tiny)
+    return (error / np.maximum(light, least)).astype(np.float32)
+
+
+def between_error(between: np.ndarray, mean: np.ndarray, sigma: np.ndarray) -> Bound:
+    """Return the error of light that is interpolated between samples: see `Moved.between`.
+
+    Args:
+        between: Relative error of each pixel.
+        mean: Mean electrons, shape (..., rows, cols).
+        sigma: Noise of each pixel [e-].
+    """
+    return _bound(between * np.maximum(mean, LEAST * mean.mean()), mean, sigma)
 
 
 def guess_error(guessed: np.ndarray, mean: np.ndarray, sigma: np.ndarray) -> Bound:
@@ -160,7 +214,11 @@ def guess_error(guessed: np.ndarray, mean: np.ndarray, sigma: np.ndarray) -> Bou
     """
     if not guessed.any():
         return Bound()
-    error = guessed * np.maximum(mean, mean.max() - mean)
+    return _bound(guessed * np.maximum(mean, mean.max() - mean), mean, sigma)
+
+
+def _bound(error, mean, sigma):
+    """Return the bound of an error of mean electrons."""
     power = float(np.mean(np.square(mean, dtype=np.float64)))
     rms = float(np.sqrt(np.mean(np.square(error, dtype=np.float64)) / power)) if power else 0.0
     sigmas = error / np.maximum(sigma, 1e-9)

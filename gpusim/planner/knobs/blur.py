@@ -2,9 +2,10 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from math import ceil
 
 import numpy as np
-from scipy.fft import dctn, idctn
+from scipy.fft import dctn, idctn, irfft2, rfft2
 from scipy.ndimage import gaussian_filter
 
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
@@ -44,6 +45,8 @@ WINDOW = 256  # [sample] a side of the part of a picture in which that is predic
 FIELDS = ("light", "alpha", "radius")
 WHOLE = 2**17  # samples of a picture of which a part is not looked at apart
 COARSE = 8  # [sample] between places that find a part of a picture
+PLACES = (0.0, 0.0), (0.6, 0.8), (0.6, -0.8), (-0.6, 0.8), (-0.6, -0.8)  # of the field
+RINGS = 8  # of diffraction: beyond is about 2 % of the light
 NEAR_FRAME = 4  # [sample] beyond a blur's reach
 LEFT = 0.15  # of it, after it was computed
 HIDDEN = "depth, in layers (hidden parts are continued)"
@@ -345,28 +348,55 @@ def _behind_edges(question, sheets):
     """Error of a product of light and coverage that are blurred together in focus, brightness (rows, cols).
 
     Exact is the blur of the product of light and transmission. The two differ by the covariance
-    within the kernel of a circular pupil in focus, at the mean wavelength in a mirrored world.
-    First each is blurred for its own distance, a disc of diameter c by a Gaussian of standard
-    deviation c / 4.
+    within the kernel of the lens in focus, at the mean wavelength in a mirrored world; in a varying
+    field by the largest of some places. First each is blurred for its own distance, a disc of
+    diameter c by a Gaussian of standard deviation c / 4.
     """
-    # of the cosines of a mirrored world
-    shape = sheets[0].alpha.shape
-    fy, fx = (np.arange(n)[:, None] / (2 * n) for n in shape)
-    s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
-    seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
-    # samples in focus are even over their cells; out of focus the sum over the pupil has the cells
-    cells = np.sinc(fy * question.cell[0]) * np.sinc(fx.T * question.cell[1])
-    light, square, is_sharp = None, 0.0, False
-    for sheet in reversed(sheets):
-        width = float(np.abs(sheet.radius).mean()) / 2
-        front, cover = gaussian_filter(sheet.light, width), gaussian_filter(sheet.alpha, width)
-        is_sharp |= bool(np.abs(sheet.radius).min() <= SHARP)
-        if light is not None and np.ptp(cover) > 0:
-            passed = seen * cells if is_sharp else seen
-            apart = [idctn(dctn(one) * passed) for one in (cover * light, cover, light)]
-            square = square + (apart[0] - apart[1] * apart[2]) ** 2
-        light = front if light is None else front + (1 - cover) * light
-    return np.sqrt(np.broadcast_to(square, shape))
+    found = np.zeros(sheets[0].alpha.shape)
+    for blurred in _blurs_in_focus(question, found.shape):
+        light, square, is_sharp = None, 0.0, False
+        for sheet in reversed(sheets):
+            width = float(np.abs(sheet.radius).mean()) / 2
+            front, cover = gaussian_filter(sheet.light, width), gaussian_filter(sheet.alpha, width)
+            is_sharp |= bool(np.abs(sheet.radius).min() <= SHARP)
+            if light is not None and np.ptp(cover) > 0:
+                apart = [blurred(one, is_sharp) for one in (cover * light, cover, light)]
+                square = square + (apart[0] - apart[1] * apart[2]) ** 2
+            light = front if light is None else front + (1 - cover) * light
+        found = np.maximum(found, np.sqrt(square))
+    return found
+
+
+def _blurs_in_focus(question, shape):
+    """Yield functions (picture, whether over its cells) that blur a picture in focus, one for each place of the field.
+
+    Samples in focus are even over their cells; out of focus the sum over the pupil has the cells.
+    An aberrated kernel has them always.
+    """
+    if question.lens.is_airy or question.lens.is_pointlike:
+        # of the cosines of a mirrored world
+        fy, fx = (np.arange(n)[:, None] / (2 * n) for n in shape)
+        s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
+        seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+        cells = np.sinc(fy * question.cell[0]) * np.sinc(fx.T * question.cell[1])
+        yield lambda one, with_cells: idctn(dctn(one) * (seen * cells if with_cells else seen))
+        return
+    lens = question.lens
+    nm = lens.nanometres(np.array([question.mean_q]))
+    radius = ceil(lens.spread(nm) + RINGS * question.mean_q)
+    size = max(lens.least_size, 2 * radius + 1)
+    at = np.arange(size) - size // 2
+    y, x = (at % (2 * n) for n in shape)  # of a mirrored world
+    for place in ((0.0, 0.0),) if lens.is_uniform else PLACES:
+        kernel = np.zeros([2 * n for n in shape])
+        np.add.at(kernel, np.ix_(y, x), lens.kernels(nm, place, size)[0])
+        passed = rfft2(kernel / kernel.sum())
+
+        def blurred(one, with_cells, passed=passed):
+            wide = np.pad(one, [(0, n) for n in shape], mode="symmetric")
+            return irfft2(rfft2(wide) * passed, wide.shape)[: shape[0], : shape[1]]
+
+        yield blurred
 
 
 def _located(question, error, light, probes):
