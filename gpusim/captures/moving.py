@@ -261,11 +261,13 @@ def expose_motion(
     account = exposure.plan.account
     bounds = account.bounds | {"view": resampled, "shutter": wrong}
     if travels:
-        own = simulator, exposure, ratio
-        bounds["surfaces that were hidden"] = _bound(
-            guess_error, np.mean([one.guessed for one in seen], 0), *own
+        guessed, moved_by = (
+            np.mean([getattr(one, name) for one in seen], 0) for name in ("guessed", "between")
         )
-        moved = _bound(between_error, np.mean([one.between for one in seen], 0), *own)
+        bounds["surfaces that were hidden"] = _bound(
+            guess_error, guessed, simulator, exposure, ratio
+        )
+        moved = _bound(between_error, moved_by, simulator, exposure, ratio)
         bounds["view"] = sum_errors([resampled, moved])
     account, models = dataclasses.replace(account, bounds=bounds), exposure.plan.models
     if words:

@@ -354,9 +354,7 @@ def plan_depth(
     if sheets:
         every = np.concatenate([its[coverage > 0] for _, coverage, its in sheets])
     low, high = float(every.min()), float(every.max())
-    power, change = _mean_squares(light)
-    power = power or 1.0
-    contrast = np.sqrt(change / power)
+    power, contrast = power_and_contrast(light)
     q = 550e-9 * optics.working_f_number / pitch
     circles, counts, is_distinct = _count(every, low, high)
     if known is None:
@@ -459,8 +457,8 @@ def _neighbours(known, optics, pitch, low, high):
     return known[first : max(last, first + 4)]
 
 
-def _mean_squares(light):
-    """Return the mean square of a picture, and the sum of those of its differences along rows and along columns."""
+def power_and_contrast(light: np.ndarray) -> tuple[float, float]:
+    """Return a picture's mean square, and its contrast: RMS difference of neighbours along both axes over the RMS."""
     rows, cols = light.shape
     own, sums = 0.0, [0.0, 0.0]
     size = max(SAMPLES // cols, 1)
@@ -470,7 +468,9 @@ def _mean_squares(light):
         sums[0] += float((np.diff(some, axis=0) ** 2).sum())
         sums[1] += float((np.diff(some[:size], axis=1) ** 2).sum())
     counts = (rows - 1) * cols, rows * (cols - 1)
-    return own / light.size, sum(one / max(n, 1) for one, n in zip(sums, counts, strict=True))
+    power = own / light.size or 1.0
+    change = sum(one / max(n, 1) for one, n in zip(sums, counts, strict=True))
+    return power, float(np.sqrt(change / power))
 
 
 def _count(circles, low, high):

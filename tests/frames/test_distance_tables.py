@@ -14,6 +14,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
+from gpusim.optics.depth import DepthPlan
 from gpusim.pipeline.simulator import Simulator
 
 PITCH, NM, SIZE = 4e-6, np.array([550.0]), 15
@@ -102,6 +103,23 @@ def test_each_distance_has_its_own_spread(device, ends):
     assert not any("measured at one distance" in line for line in plan.left_out)
     # neither the spread in focus nor a thin lens's disc does it
     assert np.abs(summed(light, [kernel(0.5)] * 36) - wanted)[INNER].max() > 50 * ERROR
+
+
+def test_few_distances_are_an_error_in_the_account():
+    """Of three distances, against the spreads at all: the prediction holds, and is not idle."""
+    light, some = picture(), DISTANCES[[0, 3, 6]]
+    dioptres = np.linspace(1.05, 1.85, 36)
+    values = np.array([[kernel(1 / d)] for d in some])
+    spread = PointSpread(NM, values, PITCH, integrated=True, distances=some)
+    depth = np.broadcast_to(1 / dioptres[:, None], light.shape)
+    found, plan = mean_of(light, depth, camera(spread))
+    wanted = summed(light, [kernel(one) for one in dioptres])
+    error = np.sqrt(np.mean((found - wanted)[INNER] ** 2) / np.mean(wanted[INNER] ** 2))
+    name = "depth, point spreads between the distances that were measured"
+    predicted = plan.find(DepthPlan).predicted[name]
+    assert error > 2e-3 and error < predicted < 10 * error
+    _, plan = mean_of(light, depth, camera(table()))
+    assert plan.find(DepthPlan).predicted[name] < predicted / 2
 
 
 def test_one_distance():

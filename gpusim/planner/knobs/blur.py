@@ -10,9 +10,11 @@ from scipy.ndimage import gaussian_filter
 
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
+from gpusim.domain.interpolation import node_weights
 from gpusim.domain.pupil import LONGEST_WAVEFRONT
-from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth
+from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth, power_and_contrast
 from gpusim.optics.edges import span_of
+from gpusim.optics.field import image_error, natural_difference
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.kernel_space import KernelSpace
@@ -49,6 +51,8 @@ PLACES = (0.0, 0.0), (0.6, 0.8), (0.6, -0.8), (-0.6, 0.8), (-0.6, -0.8)  # of th
 RINGS = 8  # of diffraction: beyond is about 2 % of the light
 NEAR_FRAME = 4  # [sample] beyond a blur's reach
 LEFT = 0.15  # of it, after it was computed
+QUANTILES = 16  # of a scene's circles of confusion
+BETWEEN_MEASURED = "depth, point spreads between the distances that were measured"
 HIDDEN = "depth, in layers (hidden parts are continued)"
 MIXED = "depth, samples that may show one surface or two"
 NEAR = 4.0  # [sample] over which noise is taken from the light
@@ -169,6 +173,8 @@ def by_depth(
         widest=8 * LONGEST_WAVEFRONT * float(np.min(question.q)),
         known=question.lens.distances,
     )
+    if question.lens.distances is not None:
+        made.predicted[BETWEEN_MEASURED] = _between_distances(question, made, light)
     for distance in made.distances[[0, -1]] if question.lens.is_adjustable else ():
         try:
             optics.waves(scene.wavelengths[:1], distance=distance)
@@ -179,6 +185,25 @@ def by_depth(
                 f"nearer to the focus, or a smaller aperture: {error}",
             ) from None
     return made if made.layers < 2 else _with_occlusion(question, made, probes, placed, notes)
+
+
+def _between_distances(question, depth, light):
+    """Return the relative RMS error by interpolation of point spreads between the distances that were measured.
+
+    Cubics may err by as much as they differ from lines. Counted on the axis, at some of the scene's distances.
+    """
+    lens, nodes = question.lens, depth.kernels
+    at = np.quantile(depth.confusion, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+    high = np.clip(np.searchsorted(nodes, at), 1, len(nodes) - 1)
+    share = (at - nodes[high - 1]) / (nodes[high] - nodes[high - 1])
+    wrong, row = node_weights(nodes, at), np.arange(QUANTILES)
+    wrong[row, high - 1] -= 1 - share
+    wrong[row, high] -= share
+    middle, size = [float(np.median(question.content.wavelengths))], lens.least_size | 1
+    kernels = np.stack([lens.kernels(middle, (0.0, 0.0), size, one) for one in depth.distances])
+    errors = np.tensordot(wrong, kernels, 1)
+    _, contrast = power_and_contrast(light)
+    return image_error(errors, np.zeros_like(errors))[0] * contrast / natural_difference()
 
 
 def _curvature(question):
