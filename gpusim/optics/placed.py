@@ -49,7 +49,7 @@ class Placed:
 
     def find_window(self, lit: tuple[slice, slice]) -> tuple[slice, slice]:
         """Return rows and columns of the frame, at least all that take light from a rectangle of the source."""
-        takes = np.ones(self._low.shape[:2], bool)
+        takes = np.full(self._low.shape[:2], all(one.stop > one.start for one in lit))
         for axis, (one, size) in enumerate(zip(lit, self._source, strict=True)):
             along = (slice(None), None) if axis == 0 else (None, slice(None))
             first = self._first[axis][along] + self._low[..., axis] - REACH
