@@ -158,6 +158,9 @@ class MovingRequest(Request):
                 "fov",
                 "depth",
                 "projection",
+                "part",
+                "layer",
+                "view",
             ):
                 self.refuse(name, "a video has its own size and colours, and no depth")
         else:

@@ -31,7 +31,9 @@ SCENE_HELP = (
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
 CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling")  # of a camera
-SCENE_OPTIONS = "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection band".split()
+SCENE_OPTIONS = (
+    "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection part layer view band"
+).split()
 
 
 def option(
@@ -364,6 +366,16 @@ class Request(Options):
         help="meaning of the scene's samples: places in a pinhole's picture, or the directions of "
         "a panorama (all around, 2:1), which the camera sees in --size or its calibration's "
         "(default: the file's)",
+    )
+    part: str | None = option(
+        metavar="NAME",
+        help="name or number (from 0) of the only part of an .exr to read (default: all of one size)",
+    )
+    layer: str | None = option(
+        metavar="NAME", help="layer of an .exr with the picture, such as ViewLayer"
+    )
+    view: str | None = option(
+        metavar="NAME", help="view of a stereo .exr, such as right (default: the file's first)"
     )
 
     def open_scene(

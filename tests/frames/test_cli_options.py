@@ -30,6 +30,7 @@ PHOTO = f"photo.png {ON}"
 SEVERAL = f"in_1.png in_2.png in_3.png {ON}"
 PLANES = f"planes.npy {ON} --wavelengths 450,550,650 --exposure .01"
 SPACE = f"depth.exr {ON}"
+PARTS = f"parts.exr {ON} --exposure 1/60"
 
 # Options of a scene, its camera and the planner: a name, the arguments before it, and its own
 SCENE = {
@@ -55,6 +56,9 @@ SCENE = {
     "fov": (f"{SPACE} --depth ray --fov 30", "--fov 60"),
     "depth": (f"{SPACE} --focus 0.5", "--depth none"),
     "projection": (CHART, "--projection equirectangular"),
+    "part": (PARTS, "--part other"),
+    "layer": (PARTS, "--layer other"),
+    "view": (PARTS, "--view right"),
 }
 MOVING = {
     "frames": (PHOTO, "--frames 3"),
@@ -92,6 +96,9 @@ ROWS = {
         "exposure": (f"{CHART} --tolerance video", "--exposure 1/500"),
         "iso": (f"{CHART} --tolerance video", "--iso 400"),
         "scale": (f"{PLANES} --tolerance video", "--scale 2"),
+        "part": (f"{PARTS} --tolerance video", "--part other"),
+        "layer": (f"{PARTS} --tolerance video", "--layer other"),
+        "view": (f"{PARTS} --tolerance video", "--view right"),
         "json": (CHART, "--json plan.json"),
     },
     "video": after(SCENE | MOVING, "-o out.npz")
@@ -192,6 +199,13 @@ def inputs(tmp_path_factory):
         OpenEXR.File(
             {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
         ).write(str(folder / f"{name}named.exr"))
+        views = ({c: planes[0] / n for c in "RGB"} for n in (1, 2, 3))
+        first, right, other = views
+        parts = {"rgba": first | {f"right.{c}": right[c] for c in "RGB"}, "other": other}
+        header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+        OpenEXR.File(
+            [OpenEXR.Part(dict(header), held, part) for part, held in parts.items()]
+        ).write(str(folder / f"{name}parts.exr"))
         depth = np.linspace(0.5, 4, bright.size if name else 384, dtype=np.float32)
         gs.save_scene(
             replace(scene, depth=depth.reshape(planes[0].shape)), folder / f"{name}depth.exr"
@@ -376,6 +390,7 @@ CONFLICTS = [  # a command line and the option that has no effect in it
             "--scale 2",
             "--fov 30",
             "--depth none",
+            "--layer left",
         )
     ),
     ("pairs", f"{CHART} -o out", "--scaling normalised"),
@@ -462,7 +477,9 @@ def test_an_option_without_effect_is_refused(command, base, option, outcome):
 
 OF_LENS = {"f_number", "focus"}
 OF_SENSOR = OF_LENS | {"exposure", "iso"}
-OF_CONTENT = set("size samples_per_pixel light luminance band wavelengths kind scale".split())
+OF_CONTENT = set(
+    "size samples_per_pixel light luminance band wavelengths kind scale part layer view".split()
+)
 OF_SCENE = OF_CONTENT | {"border", "fov", "depth", "projection", "camera"}
 OF_FRAME = OF_SCENE | OF_SENSOR | {"seed", "device", "tolerance", "guaranteed", "strict"}
 USED = {

@@ -54,8 +54,8 @@ def test_indigos_buckets_are_named_by_their_lower_edge(tmp_path):
         (["S0.400nm", "S0.500nm", "S1.400nm", "S2.400nm", "S3.400nm"], "'S1.400nm': polarised"),
         (["R", "G", "B", "S1.R"], "polarised"),
         (["T.400nm", "T.500nm", "T.400nm.500nm"], "'T.400nm.500nm': bispectral (fluorescent)"),
-        (["A.Combined.R", "A.Combined.G", "A.Combined.B", "B.Combined.R"], "2 pictures"),
-        (["R", "G", "B", "mask"], "no spectral channels"),
+        ([f"{layer}.Combined.{c}" for layer in ("near", "far") for c in "RGB"], "(far, near)"),
+        (["R", "G", "mask"], "no spectral channels"),
         (["Z", "depth.T"], "no spectral channels"),
     ],
 )
@@ -88,7 +88,10 @@ def test_a_depth_channel_is_the_scenes_depth(tmp_path, name, layer):
     scene = open_scene(path)
     np.testing.assert_array_equal(scene.depth, stored)
     np.testing.assert_array_equal(scene.content.coefficients[:, 1, 1], [0.25, 0.5, 0.75])
-    assert scene.notes == (f"depth: channel {name!r}, taken as metres along the optical axis",)
+    assert scene.notes == (
+        "channels not used: normal",
+        f"depth: channel {name!r}, taken as metres along the optical axis",
+    )
     assert open_scene(path, depth="none").depth is None
 
 

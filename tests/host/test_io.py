@@ -503,8 +503,8 @@ def test_exr_rgb_is_lifted_and_written(tmp_path):
 @pytest.mark.parametrize(
     "channels, problem",
     [
-        ({"Y": plane(), "Z": plane()}, "no spectral channels"),
-        ({"R": plane(), "G": plane(), "B": plane(), "mask": plane()}, "no spectral channels"),
+        ({"U": plane(), "Z": plane()}, "no spectral channels"),
+        ({"R": plane(), "G": plane(), "mask": plane()}, "no spectral channels"),
         ({"S0.400nm": plane(), "S0.500THz": plane()}, "'S0.500THz'"),
         ({"T.400nm": plane(), "T.400nm.500nm": plane()}, "'T.400nm.500nm'"),
         ({"S0.400nm": plane(), "S0.400,00nm": plane()}, "same wavelength, 400 nm"),

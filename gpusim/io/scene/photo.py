@@ -38,12 +38,6 @@ def read_photo(path) -> Basis | Materials:
         linear, alpha = _decode_light(read_samples(path))
         if alpha is not None:
             linear = linear * alpha[..., None]
-        if linear.shape[-1] == 1:
-            shading = linear[..., 0].astype(np.float32)
-            wavelengths = srgb_primaries().wavelengths
-            ids = np.zeros(shading.shape, np.uint8)
-            neutral = np.ones((1, len(wavelengths)))
-            return Materials(wavelengths, ids, shading, neutral)
         return lift(np.moveaxis(linear, -1, 0))
 
 
@@ -94,14 +88,19 @@ def _decode_light(samples):
     return colours, samples[..., -1] / white if samples.shape[-1] in ALPHA else None
 
 
-def lift(linear) -> Basis:
+def lift(linear) -> Basis | Materials:
     """Return reflectances with these colours in D65.
 
-    linear: linear sRGB, shape (3, rows, cols), not negative. Each pixel is the mixture of the
+    linear: linear sRGB, shape (3, rows, cols), or grey, (1, rows, cols), not negative. Grey becomes
+    one neutral material and its shading. Each coloured pixel is the mixture of the
     reflectances of the three primaries, as on a display whose white is the light: Farrell &
     Wandell, section 3; spectra of `srgb_primaries`.
     """
     primaries = srgb_primaries()
+    if len(linear) == 1:
+        ids, neutral = np.zeros(linear.shape[1:], np.uint8), np.ones_like(primaries.wavelengths)
+        shading = np.ascontiguousarray(linear[0], np.float32)
+        return Materials(primaries.wavelengths, ids, shading, neutral[None])
     return Basis(primaries.wavelengths, np.ascontiguousarray(linear, np.float32), primaries.values)
 
 

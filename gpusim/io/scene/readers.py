@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gpusim.data.colorimetry import xyz
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import (
     LONGEST_PATH,
@@ -16,8 +17,8 @@ from gpusim.domain.errors import (
     format_value,
     one_line,
 )
-from gpusim.domain.scene import Scene, unit_light
-from gpusim.domain.spectrum import energy_per_photon
+from gpusim.domain.scene import PANORAMA, Scene, unit_light
+from gpusim.domain.spectrum import energy_from_photons, energy_per_photon
 from gpusim.io.exr import read_exr
 from gpusim.io.files import name_in_errors
 from gpusim.io.scene.depth import axial_depth
@@ -77,14 +78,19 @@ def read_scene(path: Path, white, given: dict) -> Scene:
     return reader.read(path, white, **select_options(path, reader.options, given))
 
 
-def _exr(path, white, bands=None, ray=None, no_depth=False):
-    held = read_exr(path, bands, depth=not no_depth)
+def _exr(path, white, bands=None, ray=None, no_depth=False, **choices):
+    held = read_exr(path, bands, depth=not no_depth, **choices)
     if ray and held.depth is None:
         raise BadFile(path, 'depth = "ray", but there is no channel of depth')
-    content = lift(held.values) if held.kind == "rgb" else Cube(held.wavelengths, held.values)
+    is_picture = held.wavelengths is None
+    content = lift(held.values) if is_picture else Cube(held.wavelengths, held.values)
+    if held.white is not None:
+        white = white.scale(held.white / xyz(energy_from_photons(white))[1])
     parts, notes = {"name": path.stem, "illuminant": white} | scene_parts(path), held.notes
     if held.kind == "radiance":
         parts["illuminant"] = unit_light(held.wavelengths)
+    if held.is_panorama:
+        parts["projection"] = PANORAMA
     if held.depth is not None:
         parts["depth"] = axial_depth(
             path, held.depth_channel, held.depth, "ray" if ray else "axis", ray
@@ -205,7 +211,7 @@ def scene_of_spectra(path, white, wavelengths, spectra, kind, size, notes=()) ->
 CHARTS_TAKE = ("size",)
 PLANES = ("wavelengths", "kind", "scale")
 READERS = {
-    ".exr": Reader(_exr, ("bands", "ray", "no_depth")),
+    ".exr": Reader(_exr, ("bands", "ray", "no_depth", "part", "layer", "view")),
     ".npz": Reader(_npz, ("no_depth",)),
     ".mat": Reader(_iset, ("ray", "no_depth")),
     **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)),

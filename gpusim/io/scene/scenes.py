@@ -46,6 +46,9 @@ def open_scene(
     kind: str | None = None,
     scale: float | None = None,
     projection: str | None = None,
+    part: int | str | None = None,
+    layer: str | None = None,
+    view: str | None = None,
 ) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.
 
@@ -78,6 +81,11 @@ def open_scene(
         scale: number in the file that stands for 1. None is 1 for floats, the largest of uint8 and
             uint16, and the value of an ENVI header.
         projection: "plane" or "equirectangular" (a panorama), see Scene; replaces the scene's.
+        part: name or number (from 0) of the only part of an .exr to read; None reads all parts that
+            have one frame.
+        layer: layer of an .exr with the picture, such as "ViewLayer" or "diffuse"; a part's name
+            will do.
+        view: view of a stereo .exr, such as "right"; None is the file's first.
 
     Returns:
         The scene.
@@ -104,6 +112,9 @@ def open_scene(
         "scale": scale,
         "ray": fov if depth == "ray" else None,
         "no_depth": depth == "none" or None,
+        "part": part,
+        "layer": layer,
+        "view": view,
     }
     given = {name: value for name, value in given.items() if value is not None}
     level = LUMINANCE if luminance is None else luminance

@@ -13,6 +13,7 @@ import numpy as np
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.io.files import file_size, open_file, reading, silence
+from gpusim.io.orientation import turn
 
 SUFFIXES = (".tif", ".tiff")
 MOST_PAGES = 4096
@@ -113,18 +114,7 @@ def read_picture(path) -> np.ndarray:
         white = np.iinfo(samples.dtype).max if samples.dtype.kind == "u" else 1
         samples[..., 0] = white - samples[..., 0]
     samples = samples[..., :-1] if page.alpha == 1 else samples
-    return np.ascontiguousarray(_turn(samples, page.orientation))
-
-
-def _turn(samples, orientation):
-    """Return samples (rows, cols, channels), turned as the tag Orientation, 1 .. 8, says."""
-    if orientation in (5, 6, 7, 8):
-        samples = samples.swapaxes(0, 1)
-    if orientation in (3, 4, 7, 8):
-        samples = samples[::-1]
-    if orientation in (2, 3, 6, 7):
-        samples = samples[:, ::-1]
-    return samples
+    return np.ascontiguousarray(turn(samples, page.orientation))
 
 
 @contextmanager
