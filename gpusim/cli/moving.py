@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.flicker import Flicker
 
 MOST_FRAMES = 10**7
-FASTEST = 10**5  # [frame/s]
+FASTEST, DEFAULT_RATE = 10**5, Fraction(30)  # [frame/s]
 
 
 _rate = number(
@@ -65,12 +65,11 @@ class MovingRequest(Request):
         help="number of frames of one scene, or of the first frames of a video (default: 1; all of "
         "a video)",
     )
-    fps: Fraction = option(
-        default=Fraction(30),
+    fps: Fraction | None = option(
         type=_rate,
         metavar="RATE",
         help="frames per second, such as 24, 29.97 or 30000/1001; limits the exposure time "
-        "(default: 30)",
+        "(default: a video's own, else 30)",
     )
     pan: tuple[float, float] = option(
         default=(0.0, 0.0),
@@ -129,9 +128,14 @@ class MovingRequest(Request):
         actors = tuple(cast.actor() for cast in self.actor)
         if motion != Motion(seed=seed) or flicker or actors:
             camera = self.open_camera() if any(travel) else None
-            scenes = Moving(scenes, motion, self.fps, flicker, actors, camera)
+            rate = self.frame_rate(scenes)
+            scenes = Moving(scenes, motion, rate, flicker, actors, camera)
             next(scenes.between(0, 1))  # refuses actors that do not fit
         return scenes
+
+    def frame_rate(self, scenes: "Scenes") -> Fraction:
+        """Return the frames per second: --fps, else a video's own, else 30."""
+        return self.fps or scenes.rate or DEFAULT_RATE
 
     def check_movement(self, scenes: "Scenes") -> None:
         """Raise Conflict for a movement that no frame of these scenes shows."""

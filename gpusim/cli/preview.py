@@ -80,7 +80,7 @@ def preview(request: PreviewRequest) -> int:
     if scenes.is_still:
         request.refuse("frames", "nothing moves", "leave it out, or add --pan or --roll")
     request.check_movement(scenes)
-    period = 0.0 if scenes.is_still else float(1 / request.fps)
+    period = 0.0 if scenes.is_still else float(1 / request.frame_rate(scenes))
     first, device = next(scenes.between(0, 1)), open_device(request.device)
     request.open_camera()  # refuses wrong settings before the page opens
     require_port(request.host, request.port)

@@ -131,7 +131,7 @@ class VideoRequest(MovingRequest):
     codec: str | None = option(
         in_key=False,
         metavar="NAME",
-        help="h264 (8 bit), h265 (10 bit), ffv1-raw (the mosaic, 16 bit, .mkv), ffv1-linear "
+        help="h264 (8 bit), h265 (10 bit), h265-12 (12 bit), ffv1-raw (the mosaic, 16 bit, .mkv), ffv1-linear "
         "(linear RGB, 16 bit, .mkv) (default: h264)",
     )
     quality: float | None = option(
@@ -203,9 +203,10 @@ def video(request: VideoRequest) -> int:
     request.check_settings()
     scenes = request.open_scenes(request.seed, request.flicker or request.pwm)
     request.check_scenes(scenes)
-    camera = within_period(request.open_camera(), request.fps)
+    rate = request.frame_rate(scenes)
+    camera = within_period(request.open_camera(), rate)
     for part in (0.0, 1.0):  # refuse a ramp before the work
-        within_period(request.ramp.camera(camera, part), request.fps)
+        within_period(request.ramp.camera(camera, part), rate)
     if request.lag:
         request.lag.check(camera, request.ramp)
     simulator = request.open_simulator(camera)
@@ -229,6 +230,8 @@ def video(request: VideoRequest) -> int:
     make = partial(generator, simulator, scenes, seed=request.seed, ramps=request.ramp, loops=loops)
     with keep_manifest(manifest, made, target.words, target.is_empty):
         written = target.write(make, own)
+        for note in next(scenes.between(0, 1)).notes:
+            print(f"note: {note}")
         return _report(target, written, own, simulator.tolerance, Plans(manifest))
 
 
@@ -244,7 +247,7 @@ def _meter(request, simulator, scenes):
             scenes,
             request.lag,
             request.ramp,
-            float(1 / request.fps),
+            float(1 / request.frame_rate(scenes)),
             seed=request.seed,
             seen=bar.update,
         )
@@ -354,11 +357,10 @@ def _open_encoded(request, path, simulator, scenes, segments):
             "one mosaic of up to 16 bits; .npz files hold any",
         )
     shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
-    encoder = Encoder(
-        codec, shape, request.fps, camera.display, camera.processor.tone, request.quality
-    )
+    rate = request.frame_rate(scenes)
+    encoder = Encoder(codec, shape, rate, camera.display, camera.processor.tone, request.quality)
     made: dict[str, Any] = {
-        "fps": str(request.fps),
+        "fps": str(rate),
         "codec": request.codec,
         "quality": request.quality,
     }

@@ -1,6 +1,6 @@
 """Camera geometry from calibration: OpenCV's camera matrix and its two distortion models."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -26,6 +26,7 @@ COUNTS = (0, 4, 5, 8, 12, 14)  # numbers of coefficients that OpenCV knows for a
 FINITE_NUMBER = Limits("a finite number", FINITE)
 POSITIVE = {key: within(f"0 < {key} < inf") for key in ("radius", "scale")}
 TILTS = {key: within(f"-1.5 <= {key} <= 1.5", "rad") for key in ("tau_x", "tau_y")}
+MOST_SKEW = 0.1  # of fx: rows and columns of a sensor are nearly perpendicular
 FOCAL_LENGTHS = {key: within(f"0 < {key} < inf pixels") for key in ("fx", "fy")}
 ROUNDING = 1.0  # [pixel]; scaled sizes are rounded to whole pixels
 
@@ -233,9 +234,10 @@ class Calibration:
     """Camera matrix and distortion in the convention of OpenCV, ROS and Kalibr.
 
     The scene is the image of an ideal pinhole with this camera matrix, as `cv2.undistort` returns
-    it. A scene point at pixel p is imaged at the pixel that `cv2.projectPoints` gives for it. A
-    frame of another resolution but the same aspect ratio scales the camera matrix; a frame of
-    another aspect ratio is refused.
+    it. A scene point at pixel p is imaged at the pixel that `cv2.projectPoints` gives for it, with
+    skew at the product of the camera matrix and the distorted position. A frame of another
+    resolution but the same aspect ratio scales the camera matrix; a frame of another aspect ratio
+    is refused.
 
     Args:
         width, height: Size of the calibration images [pixel].
@@ -244,6 +246,8 @@ class Calibration:
         coefficients: In OpenCV's order, k1 k2 p1 p2 [k3 [k4 k5 k6 [s1 s2 s3 s4 [tau_x tau_y]]]],
             empty for a pinhole; with `fisheye`, k1 k2 k3 k4 of the fisheye (equidistant) model.
         fisheye: Use the fisheye model.
+        skew: Element (0, 1) of the camera matrix [pixel].
+        notes: What of a file is not used or was converted; reports repeat them.
 
     Raises:
         BadData: The number of coefficients does not fit the model.
@@ -258,6 +262,10 @@ class Calibration:
     cy: float
     coefficients: tuple[float, ...] = ()
     fisheye: bool = False
+    skew: float = 0.0
+    notes: tuple[str, ...] = field(
+        default=(), compare=False, repr=False, metadata={"digest": False}
+    )
 
     __repr__ = short_repr
 
@@ -272,6 +280,9 @@ class Calibration:
                     f"{getattr(self, key):.6g}",
                     f"a principal point in the picture, -0.5 .. {size - 0.5:g} pixels",
                 )
+        if not abs(self.skew) <= MOST_SKEW * self.fx:
+            allowed = f"|skew| <= {MOST_SKEW:g} fx, {MOST_SKEW * self.fx:.6g} pixels"
+            raise OutOfRange("calibration.skew", f"{self.skew:.6g}", allowed)
         count = len(self.coefficients)
         if count not in ((0, 4) if self.fisheye else COUNTS):
             raise BadData(
@@ -296,7 +307,7 @@ class Calibration:
         """Build a calibration from results of `cv2.calibrateCamera` or `cv2.fisheye.calibrate`.
 
         Args:
-            camera_matrix: Array or nested lists, shape (3, 3), without skew.
+            camera_matrix: Array or nested lists, shape (3, 3): fx skew cx, 0 fy cy, 0 0 1.
             coefficients: Array or list of any shape, or None.
             size: Width and height of the images [pixel].
             fisheye: The coefficients belong to the fisheye model.
@@ -305,7 +316,7 @@ class Calibration:
             The calibration.
 
         Raises:
-            BadData: The arguments are not numbers of the right shape, or the matrix has skew.
+            BadData: The arguments are not numbers of the right shape.
             OutOfRange: See `Calibration`.
         """
         try:
@@ -318,13 +329,13 @@ class Calibration:
             ) from None
         if matrix.shape != (3, 3):
             raise BadData(f"calibration: wanted a camera matrix of 3 x 3, got {matrix.shape}")
-        if matrix[0, 1] or matrix[1, 0] or not (matrix[2] == (0, 0, 1)).all():
+        if matrix[1, 0] or not (matrix[2] == (0, 0, 1)).all():
             raise BadData(
-                "calibration: wanted the camera matrix fx 0 cx, 0 fy cy, 0 0 1, without skew; got "
+                "calibration: wanted the camera matrix fx skew cx, 0 fy cy, 0 0 1; got "
                 + ", ".join(" ".join(f"{item:g}" for item in row) for row in matrix)
             )
-        fx, fy, cx, cy = matrix[[0, 1, 0, 1], [0, 1, 2, 2]].tolist()
-        return cls(width, height, fx, fy, cx, cy, tuple(values.tolist()), fisheye)
+        fx, fy, cx, cy, skew = matrix[[0, 1, 0, 1, 0], [0, 1, 2, 2, 1]].tolist()
+        return cls(width, height, fx, fy, cx, cy, tuple(values.tolist()), fisheye, skew)
 
     @cached_property
     def lens(self) -> BrownConrady | Fisheye:
@@ -370,7 +381,8 @@ class Calibration:
             ((self.cx + 0.5) * across - cols / 2) / focal,
             ((self.cy + 0.5) * down - rows / 2) / focal,
         )
-        return Framed(self.lens, focal * pitch, self.fy * down / focal, middle)
+        skew = self.skew * across / focal
+        return Framed(self.lens, focal * pitch, self.fy * down / focal, middle, skew)
 
     def __str__(self):
         kind = (
@@ -384,6 +396,7 @@ class Calibration:
         return (
             f"calibrated at {self.width} x {self.height}: {kind if self.coefficients else 'pinhole'}, principal "
             f"point {x:+.4g}, {y:+.4g} pixels off the middle"
+            + (f", skew {self.skew:.3g} pixels" if self.skew else "")
         )
 
 
@@ -398,22 +411,27 @@ class Framed:
         radius: Focal length along rows [m].
         aspect: Focal length along columns over `radius` [1].
         middle: (x, y) of the principal point, the same in the ideal image and in the camera's.
+        skew: Shift along rows for a normalised position of 1 along columns [1].
     """
 
     lens: BrownConrady | Fisheye
     radius: float
     aspect: float
     middle: tuple[float, float]
+    skew: float = 0.0
 
     __repr__ = short_repr
 
     def normalise(self, x, y):
         """Return positions relative to the principal point, divided by the focal lengths."""
-        return x - self.middle[0], (y - self.middle[1]) / self.aspect
+        v = (y - self.middle[1]) / self.aspect
+        u = x - self.middle[0]
+        return (u - self.skew * v if self.skew else u), v
 
     def denormalise(self, u, v):
         """Return positions in the frame from normalised ones: the inverse of `normalise`."""
-        return u + self.middle[0], v * self.aspect + self.middle[1]
+        x = u + self.middle[0]
+        return (x + self.skew * v if self.skew else x), v * self.aspect + self.middle[1]
 
     def distort(self, x, y):
         """Return the image (x^, y^) of the ideal position (x, y), both in units of `radius`."""
@@ -422,4 +440,7 @@ class Framed:
     def derivative(self, x, y):
         """Return (dx^/dx, dx^/dy, dy^/dx, dy^/dy) at the ideal position (x, y) [1]."""
         a, b, c, d = self.lens.derivative(*self.normalise(x, y))
+        if self.skew:  # M J M^-1 with M = (1, skew; 0, 1)
+            a, b = a + self.skew * c, b + self.skew * (d - a - self.skew * c)
+            d = d - self.skew * c
         return a, b / self.aspect, c * self.aspect, d

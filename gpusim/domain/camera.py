@@ -31,6 +31,7 @@ class Camera(Tabled):
         sensor: The image sensor.
         processor: The image processor.
         display: The display that pictures are encoded for.
+        notes: What of its files is not used; reports repeat them.
 
     Raises:
         OutOfRange: The settings of two parts exclude each other.
@@ -42,6 +43,9 @@ class Camera(Tabled):
     sensor: Sensor
     processor: Processor = field(default_factory=Processor)
     display: Display = field(default_factory=Display)
+    notes: tuple[str, ...] = field(
+        default=(), compare=False, repr=False, metadata={"digest": False}
+    )
 
     def __post_init__(self):
         self._check_mosaic()

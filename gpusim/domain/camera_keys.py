@@ -190,15 +190,16 @@ def _calibration(value):
     order = FISHEYE if fisheye else PINHOLE
     read = [_whole, _whole, *[_number()] * 4]
     matrix = [convert(given.pop(key)) for key, convert in zip(known, read, strict=True)]
-    if not given.keys() <= {*order}:
+    if not given.keys() <= {*order, "skew"}:
         raise _Wanted(
-            f"a table of {', '.join(known)} and the coefficients {', '.join(order)}"
+            f"a table of {', '.join(known)}, skew and the coefficients {', '.join(order)}"
             + ("" if fisheye else "; or fisheye = true with k1, k2, k3, k4")
         )
+    skew = _number()(given.pop("skew", 0.0))
     used = 1 + max((order.index(key) for key in given), default=-1)
     count = next(count for count in (0, 4, 5, 8, 12, 14) if count >= used)
     return Calibration(
-        *matrix, tuple(_number()(given.get(key, 0.0)) for key in order[:count]), fisheye
+        *matrix, tuple(_number()(given.get(key, 0.0)) for key in order[:count]), fisheye, skew
     )
 
 

@@ -19,11 +19,12 @@ from PIL import Image
 
 import gpusim as gs
 from gpusim.apps.video.codecs import CODECS, Encoder
+from gpusim.apps.video.codes import TRANSFERS, light_of
 from gpusim.apps.video.manifest import keep_manifest
 from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.segments import Shard, segments_of
 from gpusim.apps.video.video import within_period
-from gpusim.apps.video.video_frames import TRANSFERS, Film, light_of
+from gpusim.apps.video.video_frames import Film
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadFile, OutOfRange
 

@@ -401,7 +401,7 @@ def test_files_that_opencv_writes(tmp_path, suffix, count):
     [
         ("image_width: 752\n", "", ["image_width and image_height"]),
         ("plumb_bob", "bowl", ["distortion_model", "'bowl'", "rational_polynomial"]),
-        ("[461.629, 0.0,", "[461.629, 0.1,", ["skew"]),
+        ("[461.629, 0.0,", "[461.629, 47.0,", ["skew", "0.1 fx"]),
         ("[461.629,", "[-461.629,", ["fx", "-461.629"]),
         ("362.68", "962.68", ["cx", "962.68"]),
         ("[461.629,", "[.nan,", ["camera_matrix", "numbers"]),

@@ -35,7 +35,11 @@ UNKNOWN, SRGB_CURVE, LINEAR, RGB, BT709 = 2, 13, 8, 0, 1
 LIMITED, FULL = 1, 2
 # Equal results on all processors
 EXACT = "flags=accurate_rnd+full_chroma_int+full_chroma_inp+bitexact+bicubic"
+# FFmpeg's cubics multiply chroma by 1.08 if they double it without a change to RGB
+EXACT_LINEAR = EXACT.replace("bicubic", "bilinear")
 TO_LUMA = f"{EXACT}:in_range=full:out_range=tv:out_color_matrix=bt709"
+SAME_CODES = "in_range=tv:out_range=tv:in_color_matrix=bt709:out_color_matrix=bt709"
+TO_HALF_CHROMA = f"{EXACT_LINEAR}:{SAME_CODES}"
 
 
 @dataclass(frozen=True)
@@ -69,7 +73,8 @@ X264 = ("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead
 X265 = ("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")
 CODECS = {
     "h264": Codec("libx264", "codes", "yuv420p", "rgb24", CONTAINERS, X264, "crf"),
-    "h265": Codec("libx265", "linear", "yuv420p10le", "rgb48le", CONTAINERS, X265, "crf"),
+    "h265": Codec("libx265", "linear", "yuv420p10le", "yuv444p10le", CONTAINERS, X265, "crf"),
+    "h265-12": Codec("libx265", "linear", "yuv420p12le", "yuv444p12le", CONTAINERS, X265, "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
 }
@@ -207,7 +212,7 @@ class Encoder:
         with _writing(path) as container:
             stream, change = self._stream(container), self._converter(av)
             for number, values in enumerate(frames):
-                frame = av.VideoFrame.from_ndarray(self._values(values), format=self.codec.given)
+                frame = self._frame(av, values)
                 frame.pts, frame.time_base = number, 1 / self.rate
                 container.mux(stream.encode(change(frame)))
                 yield number
@@ -245,6 +250,7 @@ class Encoder:
         rows, cols = self.shape
         stream = container.add_stream(self.codec.encoder, rate=self.rate, options=self._options)
         stream.width, stream.height, stream.pix_fmt = cols, rows, self.codec.stored
+        stream.codec_context.sample_aspect_ratio = 1
         self._tag(stream.codec_context)
         return stream
 
@@ -268,20 +274,41 @@ class Encoder:
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
         (rows, cols), given = self.shape, av.VideoFormat(self.codec.given)
-        return converter(TO_LUMA, self.codec.stored, cols, rows, given, 1 / self.rate)
+        words = TO_LUMA if self.codec.given == "rgb24" else TO_HALF_CHROMA
+        return converter(words, self.codec.stored, cols, rows, given, 1 / self.rate)
 
-    def _values(self, values):
-        """Return a frame as an array in the given format."""
-        if self.codec.output != "linear":
-            return np.ascontiguousarray(values)
-        if self.codec.stored == self.codec.given:
-            return np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
+    def _frame(self, av, values):
+        """Return a frame in the given format."""
+        if self.codec.given == "gbrp16le":
+            values = np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
+        elif self.codec.output == "linear":
+            return self._luma_and_chroma(av, values)
+        return av.VideoFrame.from_ndarray(np.ascontiguousarray(values), format=self.codec.given)
+
+    def _luma_and_chroma(self, av, values):
+        """Return a frame of luma and chroma in limited range: black 16, white 235 at 8 bits.
+
+        Source: ITU-R BT.709-6, 3.2 to 3.5.
+        """
         root = np.sqrt(np.clip(values, 0, 1))
-        return self._codes[np.rint(root * np.float32(len(self._codes) - 1)).astype(np.int32)]
+        codes = self._codes[np.rint(root * np.float32(len(self._codes) - 1)).astype(np.int32)]
+        r, g, b = np.moveaxis(codes, -1, 0)
+        y = np.float32(0.2126) * r + np.float32(0.7152) * g + np.float32(0.0722) * b
+        rows, cols = self.shape
+        frame = av.VideoFrame(cols, rows, self.codec.given)
+        steps = 2 ** (frame.format.components[0].bits - 8)
+        parts = y, (b - y) * np.float32(1 / 1.8556), (r - y) * np.float32(1 / 1.5748)
+        for plane, part, zero, span in zip(
+            frame.planes, parts, (16, 128, 128), (219, 224, 224), strict=True
+        ):
+            stored = np.zeros((rows, plane.line_size // 2), "<u2")
+            stored[:, :cols] = np.rint(part * np.float32(span * steps) + np.float32(zero * steps))
+            plane.update(stored)
+        return frame
 
     @cached_property
     def _codes(self):
-        """Codes of 16 bits, indexed by the square root of the light: they are nearly uniform in it."""
+        """Codes 0 .. 1, indexed by the square root of the light: they are nearly uniform in it."""
         codes, light = np.arange(2**14) / (2**14 - 1), np.linspace(0, 1, 2**17) ** 2
         values = np.interp(light, decoding(self._display, self._tone)(codes), codes)
-        return np.rint(65535 * values).astype(np.uint16)
+        return values.astype(np.float32)

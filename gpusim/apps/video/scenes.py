@@ -26,11 +26,13 @@ class Scenes(Protocol):
         count: Number of frames.
         is_still: Whether all frames show the same scene.
         names: Names of the scenes.
+        rate: Frames per second of a video, None for other scenes.
     """
 
     count: int
     is_still: bool
     names: list[str]
+    rate: Fraction | None
 
     def between(self, first: int, end: int) -> Iterator[Scene]:
         """Yield the scenes of the frames first .. end - 1.
@@ -44,7 +46,7 @@ class Scenes(Protocol):
 class Still:
     """One scene in every frame."""
 
-    is_still = True
+    is_still, rate = True, None
 
     def __init__(self, scene: Scene, count: int):
         self.scene, self.count, self.names = scene, count, [scene.name]
@@ -57,7 +59,7 @@ class Still:
 class Files:
     """A scene file for every frame. opened: function from a path to its scene."""
 
-    is_still = False
+    is_still, rate = False, None
 
     def __init__(self, paths: Sequence[Path], opened: Callable[[Path], Scene]):
         self._paths, self._opened, self.count = list(paths), opened, len(paths)
@@ -80,6 +82,7 @@ class First:
             allowed = f"up to {scenes.count}, the frames of {scenes.names[0]}"
             raise OutOfRange("--frames", count, allowed)
         self.count, self.names, self.between = count, scenes.names, scenes.between
+        self.rate = scenes.rate
 
 
 class Moving:
@@ -111,6 +114,7 @@ class Moving:
         self.still, self.motion, self.period = scenes, motion, float(1 / rate)
         self.flicker, self.actors, self._camera = flicker, actors, camera
         self.count, self.names = scenes.count, scenes.names
+        self.rate = scenes.rate
         for number in (0, self.count - 1):
             motion.at(number * self.period)  # raises before the work
 

@@ -1,11 +1,7 @@
 """Scenes from an encoded video, decoded by FFmpeg's libraries (PyAV).
 
-Frames become reflectances, as photographs do.
-
-The tags of the file (ITU-T H.273) set the meaning of its codes: BT.709 and BT.601 (the inverse of
-the camera's curve, BT.709-6, 1.2), sRGB, pure powers, PQ (SMPTE ST 2084) and HLG (ARIB STD-B67),
-the last two with white at the 203 cd/m2 and 75 % of ITU-R BT.2408. Without a tag the matrix and
-range are chosen as players do: BT.709 from 576 rows, else BT.601, and limited range.
+Frames become reflectances, as photographs do. `codes` gives the meaning of their codes, `shape`
+their geometry.
 """
 
 import re
@@ -13,49 +9,34 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
-from functools import cache
 from itertools import pairwise
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
-from gpusim.apps.video.codecs import EXACT, converter, pyav
+from gpusim.apps.video.codecs import pyav
+from gpusim.apps.video.codes import BT709, Tags, read_coding
 from gpusim.apps.video.scenes import check_size
-from gpusim.domain.display import DISPLAYS, P3_PRIMARIES, Display
-from gpusim.domain.errors import BadFile, UnknownName
+from gpusim.apps.video.shape import Turn, read_matrix, square_size
+from gpusim.domain.display import DISPLAYS, Display
+from gpusim.domain.errors import BadFile
 from gpusim.domain.scene import Scene
-from gpusim.io.files import open_file, reading
+from gpusim.io.account import Fields
+from gpusim.io.files import name_in_errors, open_file, reading
 from gpusim.io.scene.photo import lift
 from gpusim.io.scene.scenes import picture
 
 SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
-TRANSFERS = {
-    1: "bt709",
-    6: "bt709",
-    14: "bt709",
-    15: "bt709",
-    4: "gamma2.2",
-    5: "gamma2.8",
-    8: "linear",
-    13: "srgb",
-    16: "pq",
-    18: "hlg",
-}
-PRIMARIES = {
-    1: DISPLAYS["srgb"].primaries,
-    9: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
-    12: P3_PRIMARIES,
-}
-UNTAGGED = (0, 2)
-MATRICES = {1: "bt709", 5: "bt601", 6: "bt601", 9: "bt2020"}
-FULL_RANGE = 2
 LENGTH = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")  # hours, minutes, seconds
 # frames between neighbours; frames by which storage order may lag behind display order
 GAP, MOST_LATE = (Fraction(3, 2), 16)
 # decoders raise errors for damage instead of concealing it
 STRICT = {"err_detect": "crccheck+explode"}
-PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # relative to the largest light and the largest code
+# Side data of frames that say nothing about light or geometry
+IGNORED = ("SEI_UNREGISTERED", "*TIMECODE", "MOTION_VECTORS", "VIDEO_ENC_PARAMS", "FILM_GRAIN*")
+ROUNDING = Fraction(1, 500)  # [s]; times in Matroska are whole milliseconds
+FASTEST = 10**5  # [frame/s]
 
 
 class Film:
@@ -63,37 +44,56 @@ class Film:
 
     Args:
         path: Path of the file.
-        transfer: Transfer function of TRANSFERS in place of the file's tag.
+        transfer: Transfer function in place of the file's tag, see `codes.TRANSFERS`.
         options: Options of `gpusim.picture`.
 
+    Attributes:
+        count: Number of frames.
+        rate: Frames per second, or None if the file does not have it.
+        notes: What was guessed, and what is not used.
+
     Raises:
-        BadFile, UnknownName: If the file is not a video or has unknown tags.
+        BadFile, UnknownName: If the file is not a video, has unknown tags or a geometry that is not
+            supported.
     """
 
     is_still = False
 
     def __init__(self, path: Path, transfer: str | None = None, **options):
-        self.path, self._options, self.names = path, options | {"name": path.stem}, [str(path)]
-        if transfer is not None and transfer not in TRANSFERS.values():
-            raise UnknownName("transfer function", transfer, set(TRANSFERS.values()))
+        self.path, self.names = path, [str(path)]
         self._av = pyav()
         open_file(path).close()  # refuses a folder or a pipe
         with self._reading(), self._av.open(str(path)) as container:
-            if not container.streams.video:
-                raise BadFile(path, "has no pictures; wanted a video")
-            stream = container.streams.video[0]
-            context = stream.codec_context
-            tags = (
-                context.color_trc,
-                context.color_primaries,
-                context.colorspace,
-                context.color_range,
+            self._number = self._choose(container)
+            stream = container.streams[self._number]
+            notes = [*_unused_streams(container, stream)]
+            shown = self._times(container, stream)
+            self.count = len(shown)
+            if not self.count:
+                raise BadFile(path, "has no frames")
+            self.rate, more = _rate(stream, shown)
+            notes += more
+        with self._reading(), self._av.open(str(path)) as container:
+            stream = container.streams[self._number]
+            stated = _tags(stream.codec_context)
+            frame = next(self._decode_of(container), None)
+            if frame is None:
+                raise BadFile(path, "has no frame that can be decoded")
+            aspect = Fraction(stream.sample_aspect_ratio or 1)
+        with name_in_errors(path):
+            tags, more = _merge(stated, _tags(frame))
+            notes += more
+            side = Fields(
+                {one.type.name: one for one in frame.side_data}, "not used, of its frames"
             )
-            self._format, rows = context.pix_fmt or "", context.height
-            self.count = stream.frames or self._count_frames(container, stream)
-        if not self.count:
-            raise BadFile(path, "has no frames")
-        self._read_tags(tags, transfer, rows)
+            self._place(frame, side, aspect, notes)
+            self._coding = read_coding(tags, frame.format, frame.width, frame.height, transfer)
+        notes += self._coding.notes
+        if frame.interlaced_frame:
+            notes.append("interlaced: both fields of a frame are taken as of one time")
+        side.ignore(*IGNORED)
+        self.notes = (*notes, *side.notes())
+        self._options = {"name": path.stem, "notes": self.notes} | options
         self._at: tuple | None = None  # the number of the next frame, and the frames from it on
         self._last: tuple | None = None  # the number of a frame, and its scene
         self._shape = next(self.between(0, 1)).shape
@@ -102,16 +102,50 @@ class Film:
         """Raise BadFile."""
         raise BadFile(self.path, why)
 
-    def _count_frames(self, container, stream):
-        """Return the number of frames of a file without that entry.
+    def _choose(self, container):
+        """Return the index of the first stream of pictures. Raises BadFile."""
+        streams = [stream for stream in container.streams.video if not _is_cover(stream)]
+        if not streams:
+            self._refuse("has no pictures; wanted a video")
+        return streams[0].index
+
+    def _place(self, frame, side, aspect, notes):
+        """Set turn and size of frames. side: Fields of its side data."""
+        if "SPHERICAL" in side or ("STEREO3D" in side and _is_stereo(side.take("STEREO3D"))):
+            self._refuse(
+                "its frames are of a whole sphere or of two eyes; convert it to flat frames of one eye"
+            )
+        self._turn, stretch = Turn(), Fraction(1)
+        matrix = side.take("DISPLAYMATRIX")
+        if matrix is not None:
+            self._turn, stretch = read_matrix(bytes(matrix))
+        if self._turn != Turn():
+            notes.append("turned or mirrored as its display matrix says")
+        aspect *= 1 / stretch if self._turn.swaps else stretch
+        stored = frame.width, frame.height
+        self._size = square_size(*stored, aspect)
+        if self._size != stored:
+            notes.append(
+                f"its pixels have a width of {float(aspect):.4g} heights: {stored[0]} x {stored[1]} are "
+                f"interpolated to {self._size[0]} x {self._size[1]} square ones"
+            )
+
+    def _times(self, container, stream):
+        """Return the time of every frame that is shown [s], in storage order.
 
         Raises BadFile if the last ones are missing.
         """
+        base = stream.time_base
+        if stream.frames:  # a file with an index, of the times of decoding
+            entries = [one for one in stream.index_entries or () if not one.is_discard]
+            if len(stream.index_entries or ()) == stream.frames:
+                return [one.timestamp * base for one in entries]
+            return [number / (stream.average_rate or 1) for number in range(stream.frames)]
         shown, end = [], Fraction(0)  # times of the frames, and end of the last one [s]
         for packet in container.demux(stream):
-            if packet.size:
-                shown.append((packet.pts or 0) * stream.time_base)
-                end = max(end, shown[-1] + (packet.duration or 0) * stream.time_base)
+            if packet.size and not packet.is_discard:
+                shown.append((packet.pts or 0) * base)
+                end = max(end, shown[-1] + (packet.duration or 0) * base)
         # of this stream, in Matroska
         length = LENGTH.fullmatch(stream.metadata.get("DURATION", ""))
         if length:
@@ -129,34 +163,7 @@ class Film:
         gaps = [(later - at) * rate < GAP for at, later in pairwise(sorted(shown))]
         if sorted(shown) != shown and all(gaps[:-MOST_LATE]) and not all(gaps):
             self._refuse("one of its last frames is missing: it is truncated")
-        return len(shown)
-
-    def _read_tags(self, tags, transfer, rows):
-        """Set the meaning of codes from the tags. Raises BadFile."""
-        curve, primaries, matrix, extent = tags
-        if transfer is None and curve not in TRANSFERS:
-            tag = "not tagged" if curve in UNTAGGED else f"tag {curve}"
-            known = " or ".join(sorted(set(TRANSFERS.values())))
-            self._refuse(
-                f"its transfer function is {tag}, so the meaning of its codes is unknown; give "
-                f"--transfer {known}"
-            )
-        if primaries not in (*UNTAGGED, *PRIMARIES):
-            self._refuse(
-                f"its primaries have the tag {primaries}; wanted BT.709, BT.2020 or Display P3"
-            )
-        self._transfer = TRANSFERS[curve] if transfer is None else transfer
-        self._primaries = PRIMARIES.get(primaries, PRIMARIES[1])
-        if self._format.startswith(("yuv", "nv", "p0")):
-            known = MATRICES.get(matrix) or (
-                None if matrix not in UNTAGGED else "bt709" if rows >= 576 else "bt601"
-            )
-            if known is None:
-                self._refuse(f"its matrix has the tag {matrix}; wanted BT.601, BT.709 or BT.2020")
-            extent = "full" if extent == FULL_RANGE or self._format.startswith("yuvj") else "tv"
-            self._scale = f"in_color_matrix={known}:in_range={extent}:out_range=full"
-        else:
-            self._scale = "out_range=full"
+        return shown
 
     def between(self, first: int, end: int) -> Iterator[Scene]:
         """See `gpusim.apps.video.scenes.Scenes`."""
@@ -173,7 +180,9 @@ class Film:
             for at, frame in enumerate(decoded, begun):
                 if at == number:
                     self._at = number + 1, decoded
-                    codes = self._codes(frame)
+                    if frame.is_corrupt:
+                        self._refuse(f"its frame {number} is damaged")
+                    codes = self._turn.apply(self._coding.rgb(frame, self._size))
                     break
             else:
                 self._refuse(f"ends before its frame {number} of {self.count}: it is truncated")
@@ -193,55 +202,87 @@ class Film:
 
     def _decode(self):
         with self._av.open(str(self.path)) as container:
-            context = container.streams.video[0].codec_context
-            context.thread_type, context.options = "AUTO", STRICT
-            yield from container.decode(video=0)
+            yield from self._decode_of(container)
 
-    def _codes(self, frame):
-        """Return RGB codes of a frame (rows, cols, 3), uint8, or uint16 for more than 8 bits."""
-        deep = max(part.bits for part in frame.format.components) > 8
-        convert = converter(
-            f"{EXACT}:{self._scale}",
-            "rgb48le" if deep else "rgb24",
-            frame.width,
-            frame.height,
-            frame.format,
-            frame.time_base,
-        )
-        return convert(frame).to_ndarray()
+    def _decode_of(self, container):
+        """Yield the frames of an open container.
+
+        Threads decode slices, not frames: with a log (`av.logging.set_level`), threads of frames
+        wait for Python's lock to report damage, and its holder waits for them to close the file.
+        """
+        stream = container.streams[self._number]
+        stream.codec_context.thread_type, stream.codec_context.options = "SLICE", STRICT
+        yield from container.decode(stream)
 
     def _lift(self, codes):
         """Return the scene of RGB codes."""
-        curve = light_of(self._transfer, 65535 if codes.dtype == np.uint16 else 255)
+        curve = self._coding.curve
         scene = picture(codes, curve=curve, **self._options)
-        if self._primaries == PRIMARIES[1]:
+        if self._coding.primaries == BT709:
             return scene
-        to_srgb = DISPLAYS["srgb"].rgb_from_xyz @ Display("film", self._primaries).xyz_from_rgb
+        own = Display("film", self._coding.primaries)
+        to_srgb = DISPLAYS["srgb"].rgb_from_xyz @ own.xyz_from_rgb
         light = np.tensordot(to_srgb.astype(np.float32), np.moveaxis(curve[codes], -1, 0), 1)
         # colours outside sRGB are clipped
         return replace(scene, content=lift(np.maximum(light, 0)))
 
 
-@cache
-def light_of(transfer: str, most: int) -> np.ndarray:
-    """Return the light of every code 0 .. most, white 1, float32. transfer: of TRANSFERS."""
-    code = np.arange(most + 1) / most
-    if transfer == "bt709":
-        light = np.where(code < 0.081, code / 4.5, ((code + 0.099) / 1.099) ** (1 / 0.45))
-    elif transfer == "srgb":
-        light = DISPLAYS["srgb"].decode(code)
-    elif transfer == "pq":
-        m1, m2, c1, c2, c3 = 2610 / 16384, 2523 / 32, 3424 / 4096, 2413 / 128, 2392 / 128
-        root = code ** (1 / m2)
-        light = (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1) / PQ_WHITE
-    elif transfer == "hlg":
-        light = _hlg(code) / _hlg(np.array(HLG_WHITE))
-    else:
-        light = code ** {"linear": 1.0, "gamma2.2": 2.2, "gamma2.8": 2.8}[transfer]
-    return light.astype(np.float32)
+def _is_cover(stream):
+    """Return whether a stream is a still picture, such as the cover of an album."""
+    return bool(stream.disposition & pyav().stream.Disposition.attached_pic)
 
 
-def _hlg(code):
-    a, b = 0.17883277, 0.28466892
-    c = 0.5 - a * np.log(4 * a)
-    return np.where(code <= 0.5, code**2 / 3, (np.exp((np.maximum(code, 0.5) - c) / a) + b) / 12)
+def _is_stereo(data):
+    """Return whether frames hold two views. data: libavutil's AVStereo3D."""
+    return bool(np.frombuffer(bytes(data)[:4], "=i4").any())
+
+
+def _unused_streams(container, used):
+    """Return notes on the other streams of a file."""
+    names = [
+        f"{stream.index} ({stream.type}{', a cover' if _is_cover(stream) else ''})"
+        for stream in container.streams
+        if stream.index != used.index
+    ]
+    return Fields(names, "streams that are not used").notes()
+
+
+def _tags(source):
+    """Return the tags of a codec context or a frame."""
+    return Tags(
+        *(int(tag) for tag in (source.color_trc, source.color_primaries)),
+        int(source.colorspace),
+        int(source.color_range),
+    )
+
+
+def _merge(stated, own):
+    """Return the tags of frames, completed by the file's; and notes if they disagree."""
+    merged, notes = [], []
+    for name, file, frame in zip(Tags._fields, stated, own, strict=True):
+        unknown = (0,) if name == "range" else (2,)
+        merged.append(file if frame in unknown else frame)
+        if frame not in unknown and file not in unknown and file != frame:
+            notes.append(
+                f"its {name} is tagged {file} by the file and {frame} by its frames: {frame}"
+            )
+    return Tags(*merged), notes
+
+
+def _rate(stream, shown) -> tuple[Fraction | None, list[str]]:
+    """Return the frames per second, and notes if they are not constant or unknown."""
+    times: Any = sorted(shown)
+    gaps = [later - at for at, later in pairwise(times)]
+    rate = stream.average_rate
+    if not rate and gaps and times[-1] > times[0]:
+        rate = Fraction(len(gaps)) / (times[-1] - times[0])
+    rate = Fraction(rate or 0).limit_denominator(1001)
+    if not 0 < rate <= FASTEST:
+        return None, ["its frame rate is unknown"]
+    if gaps and max(gaps) - min(gaps) > max(ROUNDING, 2 * stream.time_base):
+        low, high = (1000 * float(gap) for gap in (min(gaps), max(gaps)))
+        words = (
+            f"its frames are {low:.4g} .. {high:.4g} ms apart: taken as {float(rate):.5g} a second"
+        )
+        return rate, [words]
+    return rate, []

@@ -232,8 +232,9 @@ def _camera(path, table):
     optics = _lens(path, _apply_calibration(path, optics, sensor))
     sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
     noise = section_fields(path, table, "noise")
+    notes = getattr(optics.distortion, "notes", ())
     if "profile" in sensor:
-        _apply_profile(path, sensor, noise)
+        notes += _apply_profile(path, sensor, noise)
     sensor["noise"] = _noise(path, noise, sensor)
     return Camera(
         name,
@@ -241,6 +242,7 @@ def _camera(path, table):
         Sensor(**sensor),
         _processor(path, section_fields(path, table, "processor")),
         _display(path, section_fields(path, table, "display")),
+        notes,
     )
 
 
@@ -273,7 +275,7 @@ def _display(path, fields):
 
 
 def _apply_profile(path, sensor, noise):
-    """Move the values of a DNG's noise profile into the fields of sensor and noise."""
+    """Move the values of a DNG's noise profile into the fields; return its notes."""
     with _name_key_in_errors(path, "[sensor] noise_profile"):
         profile = read_noise_profile(path.parent / sensor.pop("profile"))
     own = [
@@ -286,6 +288,7 @@ def _apply_profile(path, sensor, noise):
         raise BadFile(path, why)
     sensor.update(profile.fields)
     noise["read"] = profile.read
+    return profile.notes
 
 
 def _noise(path, fields, sensor):

@@ -1,7 +1,7 @@
 """Gain and read noise from the noise profile of a raw photograph (DNG tag 51041)."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from os import PathLike
 
 import numpy as np
@@ -35,6 +35,7 @@ class NoiseProfile:
         offset: O of the profile [1].
         black_level: black level B [DN].
         white_level: white level W [DN].
+        notes: tags of the file that are not used.
 
     Raises:
         OutOfRange: if a value is out of range.
@@ -44,6 +45,7 @@ class NoiseProfile:
     offset: float
     black_level: float
     white_level: float
+    notes: tuple[str, ...] = field(default=(), compare=False)
 
     def __post_init__(self):
         if not 0 <= self.black_level < self.white_level <= 65535:
