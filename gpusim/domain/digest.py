@@ -21,6 +21,8 @@ def _add(found, value):
     if is_dataclass(value):
         found.update(type(value).__name__.encode())
         for field in fields(value):
+            if not field.metadata.get("digest", True):
+                continue
             found.update(field.name.encode())
             _add(found, getattr(value, field.name))
     elif isinstance(value, np.ndarray):

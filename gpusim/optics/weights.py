@@ -5,11 +5,12 @@ from math import prod
 
 import numpy as np
 
+from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
-from gpusim.domain.spectrum import Spectrum, seen_band
+from gpusim.domain.spectrum import Spectrum, energy_from_photons, seen_band
 
 STEP = 0.1  # [nm]; lines narrower than this must be given as such in the tables
 
@@ -55,6 +56,15 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     trapezoid[:-1] += steps / 2
     trapezoid[1:] += steps / 2
     return (product * trapezoid) @ cardinal
+
+
+def xyz_per_content(nodes: np.ndarray, light: Spectrum) -> np.ndarray:
+    """Return XYZ [cd m-2 if `light` is radiance] for content 1 at each of a scene's wavelengths, shape (3, L).
+
+    The light between and beyond the wavelengths is the light that frames integrate. light: of photons. Raises BadData
+    if the eye sees none of the wavelengths.
+    """
+    return LUMINOUS_EFFICACY * product_weights(nodes, energy_from_photons(cmf()), light)
 
 
 def electrons_per_content(

@@ -29,7 +29,7 @@ from gpusim.domain.spectrum import (
 from gpusim.measure.ideal import pixel_sums, sample_sums
 from gpusim.optics.outside import rule_of
 from gpusim.optics.sampling import frame_start
-from gpusim.optics.weights import electrons_per_content, product_weights
+from gpusim.optics.weights import electrons_per_content, xyz_per_content
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
 # SciPy's names of the border rules
@@ -326,9 +326,7 @@ def _eye(scene):
 
     The white has luminance 1; it is None if the light is unknown.
     """
-    weights = LUMINOUS_EFFICACY * product_weights(
-        scene.wavelengths, energy_from_photons(cmf()), scene.illuminant
-    )
+    weights = xyz_per_content(scene.wavelengths, scene.illuminant)
     if not scene.light_is_known:
         return weights, None
     white = weights.sum(1)
