@@ -15,6 +15,7 @@ from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.content import Basis
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange, check_known, format_value
+from gpusim.domain.interpolation import spectral_weights
 from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, View, checked_scene
@@ -148,12 +149,10 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
     if quantity == "reflectance":
         values = scene.content.on_host().surfaces.weigh(every, window).mean(axis=(1, 2))
     else:
-        from scipy.interpolate import CubicSpline
-
         own = light.wavelengths
         fine = np.union1d(wavelengths, own[(own > wavelengths[0]) & (own < wavelengths[-1])])
         if len(fine) > len(wavelengths):
-            content, wavelengths = CubicSpline(wavelengths, content)(fine), fine
+            content, wavelengths = spectral_weights(wavelengths, fine) @ content, fine
         values = content * light.at(wavelengths)
         if quantity == "radiance":
             values = values * energy_per_photon(wavelengths)

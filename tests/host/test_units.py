@@ -167,3 +167,117 @@ def test_dark_radiance_cannot_be_scaled():
         gs.scene_from(np.zeros((31, 4, 4)), nodes, luminance=5)
     with pytest.raises(BadData, match="cannot be scaled"):  # no eye sees it
         gs.scene_from(np.ones((31, 4, 4)), nodes + 600, luminance=5)
+
+
+# ---- headings
+
+ENERGY_NM = 1239.841984  # [eV nm], CODATA 2018
+AXES = {
+    "wavelength_nm": lambda nm: nm,
+    "wavelength": lambda nm: nm,
+    "Wavelength (nm)": lambda nm: nm,
+    "wavelength_um": lambda nm: nm / 1e3,
+    "Wavelength [µm]": lambda nm: nm / 1e3,
+    "wavelength_A": lambda nm: nm * 10,
+    "Wavelength (Angstroms)": lambda nm: nm * 10,
+    "lambda [Å]": lambda nm: nm * 10,
+    "wavenumber": lambda nm: 1e7 / nm,
+    "Wavenumber (cm^-1)": lambda nm: 1e7 / nm,
+    "1/cm": lambda nm: 1e7 / nm,
+    "Energy (eV)": lambda nm: ENERGY_NM / nm,
+    "frequency_THz": lambda nm: 299792.458 / nm,
+}
+
+
+def write_table(path, heading, numbers, names, values, divider=","):
+    """Write a table as a spreadsheet does, ascending in its first column."""
+    order = np.argsort(numbers)
+    lines = [[heading, *names]]
+    lines += [[f"{numbers[i]:.9g}", *(f"{value[i]:.9g}" for value in values)] for i in order]
+    if divider == ";":
+        lines = [[cell.replace(".", ",") for cell in line] for line in lines]
+    path.write_text("\n".join(divider.join(line) for line in lines), "utf-8")
+
+
+@pytest.mark.parametrize("divider", [",", ";"])
+@pytest.mark.parametrize("heading", AXES)
+def test_the_unit_of_a_heading_is_read(heading, divider, tmp_path):
+    nm = np.linspace(400, 700, 13)
+    curves = np.stack([np.linspace(a, b, 13) for a, b in ((0.1, 0.5), (0.4, 0.2), (0.3, 0.1))])
+    write_table(tmp_path / "qe.csv", heading, AXES[heading](nm), "RGB", curves, divider)
+    (tmp_path / "a.toml").write_text('base = "phone"\n[sensor]\nqe = "qe.csv"\nir_cut = "none"\n')
+    qe = gs.open_camera(tmp_path / "a.toml").sensor.qe
+    np.testing.assert_allclose(qe.at(nm[1:-1]), curves[:, 1:-1], rtol=1e-6)
+    scene = gs.open_scene(tmp_path / "qe.csv", size=(9, 9))
+    np.testing.assert_allclose(scene.wavelengths, nm, rtol=1e-6)
+    np.testing.assert_allclose(scene.content.spectra[:3], curves, rtol=1e-6)
+
+
+@pytest.mark.parametrize("key", ["wavelengths_um", "wavelengths_A", "energy_eV", "wavenumber_cm-1"])
+def test_a_table_of_a_camera_file_says_its_unit(key, tmp_path):
+    nm = np.array([400.0, 500, 700])
+    convert = {
+        "wavelengths_um": AXES["wavelength_um"],
+        "wavelengths_A": AXES["wavelength_A"],
+        "energy_eV": AXES["Energy (eV)"],
+        "wavenumber_cm-1": AXES["wavenumber"],
+    }[key]
+    numbers = [float(f"{number:.12g}") for number in convert(nm)]
+    (tmp_path / "a.toml").write_text(
+        f'base = "mono"\n[sensor]\nqe = {{{key} = {numbers}, "W_%" = [20, 60, 30]}}\n'
+    )
+    qe = gs.open_camera(tmp_path / "a.toml").sensor.qe
+    # 1 nm inside: the base's qe_ends = "zero" begins at the ends
+    np.testing.assert_allclose(
+        qe.at([401, 500, 699])[0], np.interp([401, 500, 699], nm, [0.2, 0.6, 0.3]), rtol=1e-6
+    )
+
+
+@pytest.mark.parametrize(
+    ("heading", "numbers", "words"),
+    [
+        ("wavelength_furlong", [400, 700], "unit of wavelengths 'furlong' is not known"),
+        ("Wavelength (parsec)", [400, 700], "unit of wavelengths 'parsec' is not known"),
+        ("wavelength", [0.4, 0.7], "name their unit"),
+        ("frequency", [400, 700], "no unit"),
+    ],
+)
+def test_an_unknown_unit_is_refused(heading, numbers, words, tmp_path):
+    write_table(tmp_path / "qe.csv", heading, np.array(numbers), "RGB", np.full((3, 2), 0.2))
+    (tmp_path / "a.toml").write_text('base = "phone"\n[sensor]\nqe = "qe.csv"\n')
+    for read in (
+        lambda: gs.open_camera(tmp_path / "a.toml"),
+        lambda: gs.open_scene(tmp_path / "qe.csv"),
+    ):
+        with pytest.raises(gs.GpusimError, match=words) as raised:
+            read()
+        assert "\n" not in str(raised.value) and "qe.csv" in str(raised.value)
+
+
+@pytest.mark.parametrize("names", [["R_%", "G_%", "B_%"], ["red (%)", "green (%)", "blue (%)"]])
+def test_percent_are_shares_if_the_heading_says_so(names, tmp_path):
+    nm, percent = np.array([400.0, 550, 700]), np.array([[1.0, 20, 50], [5, 40, 9], [30, 8, 1]])
+    path = tmp_path / "qe.csv"
+    (tmp_path / "a.toml").write_text('base = "phone"\n[sensor]\nqe = "qe.csv"\nir_cut = "none"\n')
+    write_table(path, "wavelength_nm", nm, names, percent)
+    camera = gs.open_camera(tmp_path / "a.toml")
+    assert camera.sensor.channels == ("R", "G", "B")
+    np.testing.assert_allclose(camera.sensor.qe.at([550])[:, 0], [0.2, 0.4, 0.08])
+    write_table(path, "wavelength_nm", nm, "RGB", percent)
+    with pytest.raises(gs.GpusimError, match='if they are percent, say so in the heading: "R_%"'):
+        gs.open_camera(tmp_path / "a.toml")
+
+
+def test_an_efficiency_below_one_percent_makes_a_frame(tmp_path):
+    (tmp_path / "a.toml").write_text(
+        'base = "mono"\n[sensor]\nqe = {wavelengths_nm = [400, 700], Y = [0.008, 0.006]}\ncfa = ["Y"]\n'
+    )
+    camera = gs.open_camera(tmp_path / "a.toml").with_(exposure_time_ms=100, model="none")
+    scene = gs.scene_from(np.ones((31, 8, 8)), np.arange(400.0, 701.0, 10), unit="photon")
+    scene = gs.Scene(scene.content.scale(1e16), scene.illuminant)
+    mean = gs.Simulator(camera, device="numpy")(scene, keep="mean").mean
+    optics, pitch = camera.optics, camera.sensor.pixel_pitch
+    # mean efficiency 0.7 % over 300 nm of 1e16 photons, through the lens's cone; the last pixels
+    # see the fall-off of cos^4
+    wanted = 1e16 * 300 * 0.007 * 0.1 * pitch**2 * np.pi / (1 + 4 * optics.f_number**2)
+    assert mean.max() == pytest.approx(wanted * optics.transmission, rel=2e-3)
