@@ -63,7 +63,7 @@ def triple(seed: int) -> Question:
     camera = replace(own, optics=optics, sensor=sensor, processor=processor)
     content = _content(random, names, samples)
     depth, layers = _depth(random, names, content, camera, ratio)
-    light = gs.illuminant(mixed.LIGHTS[random.integers(len(mixed.LIGHTS))])
+    light = replace(gs.illuminant(mixed.LIGHTS[random.integers(len(mixed.LIGHTS))]), quantity="")
     luminance = float(10 ** random.uniform(0.7, 3))
     scene = gs.Scene(
         content,

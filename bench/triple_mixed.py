@@ -176,7 +176,7 @@ def _drawn(seed, random):
     samples = tuple(int(n * ratio) + 2 * margin for n in shape)
     content, said = _content(random, kind, samples)
     light, luminance = (
-        gs.illuminant(LIGHTS[random.integers(len(LIGHTS))]),
+        replace(gs.illuminant(LIGHTS[random.integers(len(LIGHTS))]), quantity=""),
         float(10 ** random.uniform(0.5, 3.5)),
     )
     camera, features = _camera(random, kind, q, shape, ratio)

@@ -92,7 +92,7 @@ def triple(seed: int, data: Path | None = None) -> Triple | None:
     shape = tuple(int(side) for side in size)  # of the frame, [pixel]
     margin = int(random.integers(3, 33)) if border == "scene" else 0
     camera, about = _camera(random, base, lens, q)
-    light = gs.illuminant(LIGHTS[random.integers(len(LIGHTS))])
+    light = replace(gs.illuminant(LIGHTS[random.integers(len(LIGHTS))]), quantity="")
     luminance = float(10 ** random.uniform(0, 3.5))
     samples = tuple(ceil(n * ratio) + 2 * margin for n in shape)
     made = DRAWN[kind](random, samples, ratio, data)

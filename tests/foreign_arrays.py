@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+from lights import as_photons
 
 import gpusim as gs
 from gpusim.domain.memory import READ_BY_HOST
@@ -12,7 +13,7 @@ CAMERA = gs.open_camera("phone")
 CAMERA = replace(CAMERA, sensor=replace(CAMERA.sensor, exposure_time=0.01))
 METERED = replace(CAMERA, sensor=replace(CAMERA.sensor, exposure_time=None))
 SHAPE = (48, 64)
-LIGHT = gs.illuminant("D65")
+LIGHT = as_photons("D65")
 LIGHT = replace(LIGHT, values=3e14 * LIGHT.values)  # some hundred electrons
 
 

@@ -1,5 +1,6 @@
 """Illuminants by name, and the radiance of white in them."""
 
+import dataclasses
 import re
 from numbers import Real
 
@@ -8,7 +9,17 @@ from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import tables, xyz
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
-from gpusim.domain.spectrum import BOLTZMANN, LIGHT_SPEED, PLANCK, Spectrum, photons_from_energy
+from gpusim.domain.spectrum import (
+    BOLTZMANN,
+    ENERGY,
+    LIGHT_SPEED,
+    PHOTONS,
+    PLANCK,
+    RELATIVE,
+    Spectrum,
+    energy_from_photons,
+    photons_from_energy,
+)
 
 BRIGHTEST = 1e12  # [cd m-2]; the sun has 1.6e9
 TEMPERATURE = re.compile(r"(daylight|blackbody)-(\d+(?:\.\d+)?)k")
@@ -45,20 +56,21 @@ def illuminant(name: str, wavelengths: ArrayLike | None = None) -> Spectrum:
     if wavelengths is None:
         return light
     nodes = np.asarray(wavelengths, np.float64)
-    return Spectrum(nodes, light.at(nodes), light.name)
+    return Spectrum(nodes, light.at(nodes), light.name, RELATIVE)
 
 
 def light_of(light: str | Spectrum) -> Spectrum:
     """Return the relative power [W nm-1, up to a factor] of a light.
 
     Args:
-        light: Name of an illuminant, or a Spectrum.
+        light: Name of an illuminant, or a Spectrum: of relative power, of energy, or of photons,
+            which are converted if its quantity says so.
 
     Returns:
         The spectrum.
 
     Raises:
-        BadData: The value is neither, or has several functions.
+        BadData: The value is neither, has several functions, or is no light.
         UnknownName: The name is not known.
     """
     if isinstance(light, str):
@@ -67,7 +79,11 @@ def light_of(light: str | Spectrum) -> Spectrum:
         raise BadData(
             f"light of {type(light).__name__}: wanted a name, or a Spectrum of one function"
         )
-    return light
+    if light.quantity not in ("", RELATIVE, ENERGY, PHOTONS):
+        raise BadData(
+            f"light {light.name}: a Spectrum of quantity {light.quantity!r}, wanted a light's"
+        )
+    return energy_from_photons(light) if light.quantity == PHOTONS else light
 
 
 def illuminant_names() -> list[str]:
@@ -87,6 +103,7 @@ def _cie_illuminant(name):
         table["illuminant_wavelengths"][inside],
         powers[inside],
         str(table["illuminant_names"][index]),
+        RELATIVE,
     )
 
 
@@ -125,6 +142,7 @@ def daylight(temperature: float) -> Spectrum:
         table["daylight_wavelengths"],
         np.array([1, m1, m2]) @ table["daylight"],
         f"daylight-{temperature:g}K",
+        RELATIVE,
     )
 
 
@@ -147,7 +165,10 @@ def blackbody(temperature: float, wavelengths) -> Spectrum:
     exponent = PLANCK * LIGHT_SPEED / (BOLTZMANN * temperature) * 1e9  # times 1 / nm
     ratio = np.expm1(exponent / 560) / np.expm1(exponent / wavelengths)
     return Spectrum(
-        wavelengths, 100 * (560 / wavelengths) ** 5 * ratio, f"blackbody-{temperature:g}K"
+        wavelengths,
+        100 * (560 / wavelengths) ** 5 * ratio,
+        f"blackbody-{temperature:g}K",
+        RELATIVE,
     )
 
 
@@ -155,7 +176,7 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
     """Return the radiance of a perfect white diffuser [photon s-1 m-2 sr-1 nm-1].
 
     Args:
-        light: Relative power in energy units.
+        light: Relative power in energy units; or photons, if its quantity says so.
         luminance: Luminance of the diffuser [cd m-2].
 
     Returns:
@@ -168,6 +189,7 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
         raise OutOfRange(
             "luminance", f"{luminance} cd m-2", f"0 < luminance <= {BRIGHTEST:g} cd m-2"
         )
+    light = light_of(light)
     brightness = xyz(light)[1]
     if not brightness > 0:
         raise OutOfRange(
@@ -175,4 +197,5 @@ def white_radiance(light: Spectrum, luminance: float) -> Spectrum:
             f"{brightness:g}",
             "> 0 in 360 .. 830 nm",
         )
-    return photons_from_energy(light.scale(luminance / brightness))
+    radiance = photons_from_energy(light.scale(luminance / brightness))
+    return dataclasses.replace(radiance, quantity=PHOTONS)

@@ -8,6 +8,7 @@ import numpy as np
 
 from gpusim.domain.content import Basis, Content, check_not_negative, is_seen
 from gpusim.domain.errors import BadData
+from gpusim.domain.interpolation import is_regular
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -148,5 +149,7 @@ def spline(wavelengths, values, others) -> np.ndarray:
     """
     from scipy.interpolate import CubicSpline
 
+    if not is_regular(wavelengths):
+        return np.stack([np.interp(others, wavelengths, row) for row in values])
     ends = "not-a-knot" if len(wavelengths) > 3 else "natural"
     return CubicSpline(wavelengths, values, axis=1, bc_type=ends)(others)

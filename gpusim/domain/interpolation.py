@@ -1,6 +1,56 @@
-"""Interpolation by cubics: of kernels between circles of confusion, and of point spreads between distances."""
+"""Interpolation: of spectra between a scene's wavelengths, of kernels and point spreads between theirs."""
+
+from functools import lru_cache
 
 import numpy as np
+
+# Largest sum of magnitudes of a cubic spline's weights. On regular wavelengths it is 2. A narrow gap
+# next to a wide one makes it large: the spline then swings far beyond the samples.
+MOST_SWING = 4.0
+
+
+def is_regular(nodes: np.ndarray) -> bool:
+    """Return True if a cubic spline through samples at these nodes stays near them."""
+    return _swings_little(tuple(np.asarray(nodes, np.float64)))
+
+
+@lru_cache(maxsize=64)
+def _swings_little(nodes):
+    if len(nodes) < 3:
+        return True
+    at = np.array(nodes)
+    weights = _spline_weights(at, (at[1:] + at[:-1]) / 2)
+    return bool(np.abs(weights).sum(axis=1).max() <= MOST_SWING)
+
+
+def spectral_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return weights by which spectra are interpolated between a scene's wavelengths: (M, L).
+
+    They are a cubic spline's; straight lines' if the nodes are not regular, which never go below
+    the samples.
+
+    Args:
+        nodes: Wavelengths of the samples [nm], shape (L,), L >= 2.
+        at: Wavelengths to interpolate at [nm], shape (M,).
+
+    Returns:
+        The weights.
+    """
+    if is_regular(nodes):
+        return _spline_weights(nodes, at)
+    return line_weights(nodes, at)
+
+
+def line_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return weights of straight lines between nodes (L,), at points (M,): (M, L)."""
+    return np.stack([np.interp(at, nodes, one) for one in np.eye(len(nodes))], axis=1)
+
+
+def _spline_weights(nodes, at):
+    from scipy.interpolate import CubicSpline
+
+    ends = "not-a-knot" if len(nodes) > 3 else "natural"
+    return CubicSpline(nodes, np.eye(len(nodes)), bc_type=ends)(at)
 
 
 def stencil(nodes: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, int]:

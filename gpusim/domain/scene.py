@@ -13,7 +13,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
 from gpusim.domain.labels import Pictured
 from gpusim.domain.memory import is_array, to_host
 from gpusim.domain.short_repr import short_repr, shorten_repr
-from gpusim.domain.spectrum import Spectrum, seen_band
+from gpusim.domain.spectrum import ENERGY, PHOTONS, Spectrum, photons_from_energy, seen_band
 
 FARTHEST = 1e5  # [pixel]
 MOST_ZOOM = 100.0
@@ -153,7 +153,8 @@ class Scene(Pictured):
             reflectance [1] if the light is known. If only the radiance was measured, it is that
             radiance, and the illuminant is 1.
         illuminant: Radiance of a perfect white diffuser in the light of the scene [photon s-1 m-2
-            sr-1 nm-1].
+            sr-1 nm-1]; energy radiance is converted if the spectrum's quantity says so. Relative
+            power, as from `illuminant`, is refused: `scene_from` gives it a luminance.
         border: Surroundings of the frame: "zero" (dark), "edge" (the outermost samples continue),
             "reflect" (mirrored), "scene" (the outermost `margin` samples of `content`, which are
             outside the frame).
@@ -226,6 +227,7 @@ class Scene(Pictured):
                 self.samples_per_pixel,
                 f"1 .. {min(self.samples)}: the frame of {cols} x {rows} samples has at least one pixel",
             )
+        self._check_quantity()
         if (self.illuminant.values < 0).any():
             raise BadData(
                 f"{self._label}: the illuminant is negative (lowest {self.illuminant.values.min():.3g})"
@@ -241,6 +243,22 @@ class Scene(Pictured):
         self._check_layers()
         self._check_labels()
         self._check_projection()
+
+    def _check_quantity(self):
+        """Refuse light that has no scale; convert energy to photons."""
+        light = self.illuminant
+        if not isinstance(light, Spectrum) or light.values.ndim != 1:
+            raise BadData(
+                f"{self._label}: illuminant {type(light).__name__}, wanted a Spectrum of one function"
+            )
+        if light.quantity == ENERGY:
+            object.__setattr__(self, "illuminant", photons_from_energy(light))
+        elif light.quantity not in ("", PHOTONS):
+            raise BadData(
+                f"{self._label}: the illuminant {light.name} is {light.quantity}, wanted the radiance of white "
+                '[photon s-1 m-2 sr-1 nm-1]; gs.scene_from(cube, wavelengths, light="D65", luminance=100) '
+                "makes it from a light's name"
+            )
 
     def _host_label(self, name, label):
         """Return a label as a NumPy array."""

@@ -4,14 +4,14 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from gpusim.data.colorimetry import LUMINOUS_EFFICACY, adaptation, cmf
+from gpusim.data.colorimetry import adaptation
 from gpusim.data.lights import illuminant
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
-from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
+from gpusim.domain.spectrum import ENERGY, RELATIVE, Spectrum, photons_from_energy
 from gpusim.optics.sampling import AREA, frame_start, pixel_taps
-from gpusim.optics.weights import product_weights
+from gpusim.optics.weights import xyz_per_content
 
 DAYLIGHT = "D65"  # assumed if the scene's light is unknown
 PERIOD = 8  # of the largest mosaic [pixel]: binned frames have whole periods only
@@ -49,7 +49,6 @@ def ideal(
         BadData: if shape, light or luminance do not fit the scene.
         OutOfRange: if `luminance` is not positive and finite.
     """
-    eye = energy_from_photons(cmf())  # in its own steps of 1 nm; a light's table may be coarse
     if not scene.light_is_known and light is not None:
         raise BadData(
             f"ideal: {scene.name} is radiance, not reflectance: it cannot be shown in another light; "
@@ -63,19 +62,21 @@ def ideal(
             "diffuser is white"
         )
     if isinstance(light, str):
-        light = photons_from_energy(illuminant(light))
-    weights = product_weights(scene.wavelengths, eye, scene.illuminant if light is None else light)
+        light = illuminant(light)
+    if light is not None and light.quantity in (ENERGY, RELATIVE):
+        light = photons_from_energy(light)
+    weights = xyz_per_content(scene.wavelengths, scene.illuminant if light is None else light)
     white = weights.sum(1)
     if not scene.light_is_known:
         if luminance is None:
             raise BadData(
                 f"ideal: the light of {scene.name} is not known; wanted luminance of white [cd m-2]"
             )
-        white = product_weights(scene.wavelengths, eye, photons_from_energy(illuminant(DAYLIGHT)))
+        white = xyz_per_content(scene.wavelengths, photons_from_energy(illuminant(DAYLIGHT)))
         white = white.sum(1) / white[1].sum()
-        weights = weights * (LUMINOUS_EFFICACY / luminance)
+        weights = weights / luminance
     else:
-        scale = white[1] if luminance is None else luminance / LUMINOUS_EFFICACY
+        scale = white[1] if luminance is None else luminance
         weights, white = weights / scale, white / white[1]
     weights = adaptation(white, display.xyz_from_rgb.sum(1)) @ weights
     return np.moveaxis(_bin(pixel_sums(scene, weights), shape), 0, -1)

@@ -5,11 +5,13 @@ from math import prod
 
 import numpy as np
 
+from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.interpolation import is_regular, line_weights, node_weights, spectral_weights
 from gpusim.domain.scene import Scene
-from gpusim.domain.spectrum import Spectrum, seen_band
+from gpusim.domain.spectrum import Spectrum, energy_from_photons, seen_band
 
 STEP = 0.1  # [nm]; lines narrower than this must be given as such in the tables
 
@@ -18,16 +20,24 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     """Weights w with  sum_i w_i R(nodes_i) = integral of R(lambda) prod(factors)(lambda) dlambda  for smooth R.
 
     The factors (light, quantum efficiency, transmission) may be as spiky as their tables; only R, the scene's
-    reflectance, is interpolated: w_i is the integral of the factors times the cardinal cubic spline of node i. A
-    trapezoid sum over the nodes instead errs by up to 66 % under a fluorescent lamp (10 nm nodes).
+    reflectance, is interpolated (`spectral_weights`): w_i is the integral of the factors times the cardinal spline of
+    node i. A trapezoid sum over the nodes instead errs by up to 66 % under a fluorescent lamp (10 nm nodes).
 
     nodes: the scene's wavelengths [nm], shape (L,); what lies outside them is not seen. One node stands for the band
     that `seen_band` says, in which R does not change. factors: each one function or N
     of them; the functions broadcast. Returns shape (..., L), the unit of the factors' product times nm.
     Raises BadData when a factor has no wavelength in common with the scene.
     """
-    from scipy.interpolate import CubicSpline
+    grid, product = product_on_grid(nodes, *factors)
+    nodes = np.asarray(nodes, np.float64)
+    return product @ (spectral_weights(nodes, grid) if len(nodes) > 1 else np.ones((len(grid), 1)))
 
+
+def product_on_grid(nodes, *factors: Spectrum) -> tuple[np.ndarray, np.ndarray]:
+    """Return fine wavelengths [nm], and there the product of factors times the weights of an integral.
+
+    See `product_weights`. The grid is the range that all have in common.
+    """
     nodes = np.asarray(nodes, np.float64)
     band = seen_band(nodes)
     for factor in factors:
@@ -43,10 +53,6 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     count = max(2, int(np.ceil((high - low) / STEP)) + 1)
     grid = np.unique(np.concatenate([np.linspace(low, high, count), *tables]))
     grid = grid[(grid >= low) & (grid <= high)]
-    cardinal = np.ones((len(grid), 1))
-    if len(nodes) > 1:
-        ends = "not-a-knot" if len(nodes) > 3 else "natural"
-        cardinal = CubicSpline(nodes, np.eye(len(nodes)), bc_type=ends)(grid)
     product = np.ones(len(grid))
     for factor in factors:
         product = product * factor.at(grid)
@@ -54,7 +60,46 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     trapezoid = np.zeros(len(grid))
     trapezoid[:-1] += steps / 2
     trapezoid[1:] += steps / 2
-    return (product * trapezoid) @ cardinal
+    return grid, product * trapezoid
+
+
+def sampling_difference(
+    nodes, mean: np.ndarray, moments: np.ndarray, share: np.ndarray, *factors: Spectrum
+):
+    """Return how far two models of a spectrum between its samples differ, relative rms of the channels [1].
+
+    On regular wavelengths the models are the spline of frames and cubics through four neighbours, which differ about
+    as much as the spline errs; on others the straight lines of frames and monotone cubics (PCHIP). Also returns
+    how far the spline differs from straight lines.
+
+    mean: mean spectrum, (L,). moments: second moments of spectra, (L, L). share: of the pixels of each channel, (C,).
+    """
+    from scipy.interpolate import PchipInterpolator
+
+    grid, product = product_on_grid(nodes, *factors)
+    own = spectral_weights(nodes, grid)
+
+    def size(weights):
+        return float(np.sqrt(max(share @ np.einsum("cl,lm,cm->c", weights, moments, weights), 0)))
+
+    whole = size(product @ own)
+    if not whole > 0:
+        return 0.0, 0.0
+    if is_regular(nodes):
+        found = size(product @ (own - node_weights(nodes, grid))) / whole
+        return found, size(product @ (own - line_weights(nodes, grid))) / whole
+    difference = product @ (own @ mean - PchipInterpolator(nodes, mean)(grid))
+    seen = share @ (product @ (own @ mean)) ** 2
+    return (float(np.sqrt(share @ difference**2 / seen)) if seen > 0 else 0.0), 0.0
+
+
+def xyz_per_content(nodes: np.ndarray, light: Spectrum) -> np.ndarray:
+    """Return XYZ [cd m-2 if `light` is radiance] for content 1 at each of a scene's wavelengths, shape (3, L).
+
+    The light between and beyond the wavelengths is the light that frames integrate. light: of photons. Raises BadData
+    if the eye sees none of the wavelengths.
+    """
+    return LUMINOUS_EFFICACY * product_weights(nodes, energy_from_photons(cmf()), light)
 
 
 def electrons_per_content(

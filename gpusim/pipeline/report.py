@@ -1,10 +1,11 @@
 """The report of a frame: its cost, its models and its errors."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from math import hypot
 
 import numpy as np
 
-from gpusim.domain.account import Account, Bound, Tolerance, Verdict
+from gpusim.domain.account import SAMPLING, Account, Bound, Tolerance, Verdict
 from gpusim.domain.labels import Tabled
 from gpusim.domain.short_repr import shorten_repr
 
@@ -48,6 +49,17 @@ class Error:
             float((difference / np.maximum(reference, 1.0)).max()),
             float(np.quantile(sigma, 0.999)),
             float(sigma.max()),
+        )
+
+    def with_bound(self, bound: Bound | None) -> "Error":
+        """Return the error together with one that the reference shares, in quadrature."""
+        if bound is None:
+            return self
+        return replace(
+            self,
+            rms=hypot(self.rms, bound.rms),
+            p999_sigma=hypot(self.p999_sigma, bound.p999_sigma),
+            max_sigma=hypot(self.max_sigma, bound.max_sigma),
         )
 
     def meets(self, tolerance: Tolerance) -> bool:
@@ -142,12 +154,18 @@ class Report(Tabled):
 
     @property
     def meets_tolerance(self) -> bool | None:
-        """True if the true error is within the tolerance; None unless both are known."""
-        return (
-            None
-            if self.error is None or self.tolerance is None
-            else self.error.meets(self.tolerance)
-        )
+        """True if the true error is within the tolerance; None unless both are known.
+
+        The reference shares the scene's samples: the error of what lies between them is added.
+        """
+        if self._judged is None or self.tolerance is None:
+            return None
+        return self._judged.meets(self.tolerance)
+
+    @property
+    def _judged(self):
+        """The true error, with the error that its reference shares; None if it is not known."""
+        return self.error and self.error.with_bound(self.account.bounds.get(SAMPLING))
 
     @property
     def prediction_ratio(self) -> float | None:
@@ -230,7 +248,7 @@ class Report(Tabled):
             lines.append(f"  predicted over true relative rms: {self.prediction_ratio:.2g}")
         if self.tolerance is not None:
             verdict = str(self.verdict)
-            if error := self.error:
+            if error := self._judged:
                 verdict = (
                     f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}; "
                     f"predicted {verdict}"

@@ -399,6 +399,7 @@ def plan(
         if question.is_blurred:
             question = blur.left_out(question, picture, probes, notes)
     notes.bounds |= picture.beyond(question, operation.level)
+    spectral.describe_sampling(question, probes, notes)
     told = functools.cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
         pixels.note_view(question, told(), notes)

@@ -32,6 +32,7 @@ NEAR = 1.1  # ways whose errors are within this factor are equivalent, if none i
 REMEDIES = {
     "transforms": "float64 would, so use device numpy",
     "rounding": "float64 would, so use device numpy",
+    "spectral sampling": "a scene of more wavelengths, where its spectra change, would be met",
     "planes": "a lens that varies less over the field, or a larger tolerance, would be met",
     "view": "a scene drawn finer, by samples_per_pixel, would be met",
     "distortion": "a scene drawn finer, by samples_per_pixel, would be met",

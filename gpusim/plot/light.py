@@ -15,6 +15,7 @@ from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.content import Basis
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange, check_known, format_value
+from gpusim.domain.interpolation import spectral_weights
 from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, View, checked_scene
@@ -29,7 +30,7 @@ from gpusim.domain.spectrum import (
 from gpusim.measure.ideal import pixel_sums, sample_sums
 from gpusim.optics.outside import rule_of
 from gpusim.optics.sampling import frame_start
-from gpusim.optics.weights import electrons_per_content, product_weights
+from gpusim.optics.weights import electrons_per_content, xyz_per_content
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
 # SciPy's names of the border rules
@@ -148,12 +149,10 @@ def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
     if quantity == "reflectance":
         values = scene.content.on_host().surfaces.weigh(every, window).mean(axis=(1, 2))
     else:
-        from scipy.interpolate import CubicSpline
-
         own = light.wavelengths
         fine = np.union1d(wavelengths, own[(own > wavelengths[0]) & (own < wavelengths[-1])])
         if len(fine) > len(wavelengths):
-            content, wavelengths = CubicSpline(wavelengths, content)(fine), fine
+            content, wavelengths = spectral_weights(wavelengths, fine) @ content, fine
         values = content * light.at(wavelengths)
         if quantity == "radiance":
             values = values * energy_per_photon(wavelengths)
@@ -326,9 +325,7 @@ def _eye(scene):
 
     The white has luminance 1; it is None if the light is unknown.
     """
-    weights = LUMINOUS_EFFICACY * product_weights(
-        scene.wavelengths, energy_from_photons(cmf()), scene.illuminant
-    )
+    weights = xyz_per_content(scene.wavelengths, scene.illuminant)
     if not scene.light_is_known:
         return weights, None
     white = weights.sum(1)

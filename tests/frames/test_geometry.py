@@ -5,9 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from devices import ALL_KINDS, KINDS
+from lights import as_photons
 
 from gpusim.backends import open_device
-from gpusim.data.lights import illuminant
 from gpusim.domain.calibration import Fisheye
 from gpusim.domain.content import Cube
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable, ideal
@@ -275,7 +275,7 @@ def test_light_beside_an_edge_is_not_negative(device, model):
     values = np.where((y + x) % 2, 0, 1e15).astype(np.float32)
     scene = Scene(
         Cube(np.array([400.0, 500, 600, 700]), np.stack([values] * 4)),
-        illuminant("D65"),
+        as_photons("D65"),
         border="zero",
     )
     simulate = Simulator(replace(camera, optics=optics), device=device)
@@ -331,7 +331,7 @@ def test_what_a_distortion_interpolates_is_predicted(waves, move):
     def scene(values, **options):
         return Scene(
             Cube(np.array([540.0, 550.0, 560.0]), np.stack([values] * 3).astype(np.float32)),
-            illuminant("D65"),
+            as_photons("D65"),
             **options,
         )
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from devices import KINDS
+from lights import as_photons
 from refusals import refused
 
 import gpusim as gs
@@ -74,7 +75,7 @@ def scene_of(ratio, view, **more):
     light = np.where(ids > 0, 1.0, 1e-3).astype(np.float32)
     return gs.Scene(
         gs.Cube(np.array([500.0, 550.0, 600.0]), np.stack([light] * 3)),
-        gs.illuminant("D65"),
+        as_photons("D65"),
         samples_per_pixel=float(ratio),
         view=view,
         labels={"instance": ids, "boxes": np.array(boxes, float)},

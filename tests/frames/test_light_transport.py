@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from devices import ALL_KINDS, KINDS
+from lights import as_photons
 from scipy.interpolate import RegularGridInterpolator
 
 import gpusim as gs
-from gpusim.data.lights import illuminant
 from gpusim.domain.content import Cube
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.psf import PointSpread
@@ -75,7 +75,7 @@ def frame_of(camera, values, border="edge"):
     """Mean electrons of a scene of three wavelengths, float64."""
     cube = Cube(np.array([540.0, 550.0, 560.0]), np.stack([values] * 3).astype(np.float32))
     simulator = Simulator(camera, device=KINDS[0])
-    exposure = simulator.expose(Scene(cube, illuminant("D65"), border=border), 1e-2)
+    exposure = simulator.expose(Scene(cube, as_photons("D65"), border=border), 1e-2)
     return np.array(simulator.device.numpy(exposure.mean), np.float64)
 
 
@@ -186,7 +186,7 @@ def test_views_and_finer_samples_keep_a_given_curve():
     ):
         shape = tuple(int(ratio * n) for n in FRAME)
         cube = Cube(np.array([540.0, 550.0, 560.0]), np.ones((3, *shape), np.float32))
-        scene = Scene(cube, illuminant("D65"), view=view, samples_per_pixel=ratio)
+        scene = Scene(cube, as_photons("D65"), view=view, samples_per_pixel=ratio)
         simulator = Simulator(replace(camera, sensor=sensor), device=KINDS[0])
         light = np.array(simulator.device.numpy(simulator.expose(scene, 1e-2).mean), np.float64)
         down, across = sensor.displacement
@@ -204,7 +204,7 @@ def test_shading_correction_undoes_a_given_curve(device):
     camera = replace(camera, processor=replace(camera.processor, shading=True))
     simulator = Simulator(camera, device=device)
     cube = Cube(np.array([540.0, 550.0, 560.0]), np.ones((3, *FRAME), np.float32))
-    exposure = simulator.expose(Scene(cube, illuminant("D65")), 1e-2)
+    exposure = simulator.expose(Scene(cube, as_photons("D65")), 1e-2)
     gains = np.asarray(exposure.shading)[0]
     across = [np.linspace(0, n, count) - 0.5 for n, count in zip(FRAME, gains.shape, strict=True)]
     spline = RegularGridInterpolator(across, gains)

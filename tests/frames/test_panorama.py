@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from devices import ALL_KINDS, KINDS
+from lights import as_photons
 from refusals import refused
 
 import gpusim as gs
@@ -35,7 +36,7 @@ def panorama(values=None, **more):
     values = radiance(*directions()) if values is None else values
     return gs.Scene(
         gs.Cube(WAVES, np.stack([values] * 3).astype(np.float32)),
-        gs.illuminant("D65"),
+        as_photons("D65"),
         projection="equirectangular",
         name="world",
         **more,
@@ -71,7 +72,7 @@ def light_of(camera, scene, device=KINDS[0]):
 
 def unit():
     """Electrons of radiance 1 in a picture without a lens's geometry."""
-    flat = gs.Scene(gs.Cube(WAVES, np.ones((3, 4, 4), np.float32)), gs.illuminant("D65"))
+    flat = gs.Scene(gs.Cube(WAVES, np.ones((3, 4, 4), np.float32)), as_photons("D65"))
     return light_of(camera_with(None), flat).mean()
 
 
@@ -165,7 +166,7 @@ def test_a_panorama_and_a_plane_of_one_world_give_one_frame(lens):
     length = np.sqrt(1 + right**2 + down**2)
     values = radiance(right / length, down / length, 1 / length)
     cube = gs.Cube(WAVES, np.stack([values] * 3).astype(np.float32))
-    plane = gs.Scene(cube, gs.illuminant("D65"), border="scene", margin=margin, fov=fov)
+    plane = gs.Scene(cube, as_photons("D65"), border="scene", margin=margin, fov=fov)
     world = gs.view_panorama(panorama(fov=fov), camera, size=(COLS, ROWS))
     found, wanted = light_of(camera, world), light_of(camera, plane)
     assert np.abs(found / wanted - 1).max() < 1e-3
@@ -191,7 +192,7 @@ def test_fine_panoramas_are_averaged():
     camera, focal = fisheye_camera("equidistant")
     scene = gs.Scene(
         gs.Cube(WAVES[:1], noise[None].astype(np.float32)),
-        gs.illuminant("D65"),
+        as_photons("D65"),
         projection="equirectangular",
     )
     values = gs.view_panorama(scene, camera).content.values[0]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from brute import Brute, spectra
 from devices import ALL_KINDS, DEVICES, KINDS
+from lights import as_photons
 
 from gpusim.cli.main import main
 from gpusim.data.charts import CHARTS, chart
@@ -584,13 +585,13 @@ def test_the_sampling_error_is_a_number_under_spiky_lights(count, level):
     simulate = Simulator(camera, device="numpy")
     wavelengths = np.linspace(400, 700, count)
     values = np.full((count, 48, 48), 1e-3, np.float32)
-    flat = Scene(Cube(wavelengths, values), illuminant("FL11"))
+    flat = Scene(Cube(wavelengths, values), as_photons("FL11"))
     negative = np.flatnonzero((simulate.plan(flat).weights < 0).any(axis=0))
     assert len(negative)
     for band in negative:
         values[:] = 1e-3
         values[band, 20:28, 20:28] = level
-        error = simulate.plan(Scene(Cube(wavelengths, values.copy()), illuminant("FL11"))).beside[
+        error = simulate.plan(Scene(Cube(wavelengths, values.copy()), as_photons("FL11"))).beside[
             "scene sampling"
         ]
         assert 0 < error < 1

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cameras import camera_with
 from devices import ALL_KINDS, KINDS
+from lights import as_photons
 
 import gpusim as gs
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
@@ -207,7 +208,7 @@ def test_nothing_stale_is_used(device, change, scene):
 
 def test_arrays_that_were_written_to_are_seen_in_a_new_scene():
     values = np.full((3, 24, 32), 0.5, np.float32)
-    wavelengths, light = np.array([450.0, 550.0, 650.0]), gs.illuminant("D65")
+    wavelengths, light = np.array([450.0, 550.0, 650.0]), as_photons("D65")
     loop = gs.Simulator(BASE, device="opencl").loop(gs.Scene(gs.Cube(wavelengths, values), light))
     first = loop.frame().mean
     values *= np.float32(0.25)
@@ -234,7 +235,7 @@ def test_a_negative_gain_is_refused_at_once(scene):
 
 
 def test_keys_are_compared_by_what_they_say():
-    spectrum = gs.illuminant("D65")
+    spectrum = as_photons("D65")
     large = np.zeros(2**19)
     for one, other, equal in (
         (1, 1, True),

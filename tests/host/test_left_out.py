@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lights import as_photons
 
 import gpusim as gs
 from gpusim.cli.main import main
@@ -173,7 +174,7 @@ def test_light_outside_the_wavelengths_has_a_figure():
     from gpusim.domain.scene import Scene
 
     nodes = np.linspace(500.0, 600.0, 11)
-    light = gs.illuminant("D65")
+    light = as_photons("D65")
     camera = gs.open_camera("phone")
     plan = gs.Simulator(camera, device="numpy").plan(
         Scene(Cube(nodes, np.ones((11, 16, 16), np.float32)), light)
@@ -234,7 +235,7 @@ def test_layers_in_focus_are_the_flat_picture(size):
     rows, cols = behind.shape[1:]
     alpha = np.zeros((rows, cols), np.float32)
     alpha[:, : cols // 2] = 1
-    light, depth = gs.illuminant("D65"), np.full((rows, cols), 2.0)
+    light, depth = as_photons("D65"), np.full((rows, cols), 2.0)
     layers = (Layer(Cube(wavelengths, front), alpha, 2.0),)
     camera = gs.open_camera("phone").with_(object_distance_m=2.0, exposure_time_ms=5)
     simulate = gs.Simulator(camera, device="numpy", tolerance=1e-3)

@@ -13,6 +13,7 @@ import fuzz
 import mat_mutations
 import numpy as np
 import pytest
+from lights import as_photons
 from picture_mutations import png_of
 from refusals import SMALL, WAVES, archive, refused, takes
 
@@ -80,7 +81,7 @@ def large(folder, name):
     random, path = np.random.default_rng(4), folder / name
     codes = random.integers(0, 65536, (1500, 2000, 3), np.uint16)
     waves, planes = np.linspace(400, 700, 31), random.random((31, 750, 1000), np.float32)
-    cube = gs.Scene(gs.Cube(waves, planes), gs.illuminant("D65"))
+    cube = gs.Scene(gs.Cube(waves, planes), as_photons("D65"))
     if name in ("8.png", "8.jpg"):
         cv2.imwrite(str(path), (codes >> 8).astype(np.uint8))
     elif name == "16.png":

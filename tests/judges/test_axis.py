@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from lights import as_photons
 
 import gpusim as gs
 from gpusim.domain.content import Cube
@@ -28,7 +29,7 @@ SEIDEL = {
 def scene_of(cols):
     random = np.random.default_rng(5)
     values = random.random((3, ROWS // 4, (COLS + MORE) // 4)).repeat(4, 1).repeat(4, 2)[..., :cols]
-    return Scene(Cube(np.array([450.0, 550.0, 650.0]), np.float32(values)), gs.illuminant("D65"))
+    return Scene(Cube(np.array([450.0, 550.0, 650.0]), np.float32(values)), as_photons("D65"))
 
 
 def mean_of(cols, right, **lens):

@@ -37,6 +37,14 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.pupil import Wavefront
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.units import (
+    AXIS,
+    check_shares,
+    convert_to_nm,
+    is_inverse,
+    letter_of,
+    read_share_heading,
+)
 from gpusim.io.camera.calibration import read_calibration
 from gpusim.io.camera.learned import read_table
 from gpusim.io.camera.noise_profile import read_noise_profile
@@ -330,7 +338,7 @@ def _lens(path, fields):
         raise BadFile(path, "[optics] defocus_um and defocus_diopters: wanted one of them")
     defocus = fields.get("defocus", 0.0)
     if not isinstance(defocus, float):
-        table = _single(path, "[optics] defocus_um", defocus)
+        table = _single(path, "[optics] defocus_um", defocus, has_shares=False)
         fields["defocus"] = Spectrum(table.wavelengths, table.values / MICRO, table.name)
     aberrations = {
         key: fields.pop(key)
@@ -338,7 +346,9 @@ def _lens(path, fields):
         if key in fields
     }
     if not isinstance(fields.get("lateral_color", 0.0), float):
-        fields["lateral_color"] = _single(path, "[optics] lateral_color", fields["lateral_color"])
+        fields["lateral_color"] = _single(
+            path, "[optics] lateral_color", fields["lateral_color"], has_shares=False
+        )
     if "psf" in fields:
         with _name_key_in_errors(path, "[optics] psf"):
             fields["psf"] = read_psf(path.parent / fields["psf"])
@@ -396,27 +406,32 @@ def _product(path, first, second):
     return Spectrum(nodes, first.at(nodes) * second.at(nodes), f"{first.name} x {second.name}")
 
 
-def _single(path, label, value):
+def _single(path, label, value, has_shares=True):
     """Return a curve that is one function of wavelength."""
-    spectrum, _ = _curves(path, label, value)
+    spectrum, _ = _curves(path, label, value, has_shares)
     if len(spectrum.values) != 1:
         raise BadFile(path, f"{label}: wanted one curve, got {len(spectrum.values)}")
     return Spectrum(spectrum.wavelengths, spectrum.values[0], spectrum.name)
 
 
-def _curves(path, label, value):
-    """Return a named table, .csv file or inline table as Spectrum (C, L) and C letters."""
+def _curves(path, label, value, has_shares=True):
+    """Return a named table, .csv file or inline table as Spectrum (C, L) and C letters.
+
+    has_shares: the values are efficiencies or transmissions, 0 .. 1 or percent.
+    """
     if type(value) is dict:
-        columns = {key: column for key, column in value.items() if key != "wavelengths_nm"}
-        if "wavelengths_nm" not in value or not columns:
+        axes = [key for key in value if AXIS.search(key)]
+        columns = {key: column for key, column in value.items() if key not in axes}
+        if len(axes) != 1 or not columns:
             why = f"{label}: wanted wavelengths_nm = [...] and one list of values per curve"
             raise BadFile(path, why)
         try:
-            wavelengths = np.array(value["wavelengths_nm"], np.float64)
+            numbers = np.array(value[axes[0]], np.float64)
             values = np.array(list(columns.values()), np.float64)
         except (TypeError, ValueError):
             raise BadFile(path, f"{label}: wanted lists of numbers with equal lengths") from None
-        return Spectrum(wavelengths, values, label), tuple(columns)
+        with name_in_errors(path):
+            return _table(numbers, axes[0], values, tuple(columns), label, has_shares)
     if type(value) is not str:
         raise BadFile(
             path,
@@ -425,23 +440,40 @@ def _curves(path, label, value):
         )
     with _name_key_in_errors(path, label):
         if value.endswith(".csv"):
-            return _read_csv(path.parent / value)
+            return _read_csv(path.parent / value, has_shares)
         spectrum = curve(value)
     values = np.atleast_2d(spectrum.values)
     return Spectrum(spectrum.wavelengths, values, value), tuple(CHANNELS[value])
 
 
-def _read_csv(path):
+def _read_csv(path, has_shares=True):
     """Read a .csv with a first line of the form `wavelength_nm,R,G,B`, then numbers.
 
-    Separators, decimal commas and comments are as in `read_cells`.
+    Separators, decimal commas and comments are as in `read_cells`; units as in
+    `gpusim.domain.units`.
     """
     lines = read_cells(path, LONGEST_TABLE)
-    if not lines or lines[0][0] != "wavelength_nm" or len(lines[0]) < 2:
+    if not lines or not AXIS.search(lines[0][0]) or len(lines[0]) < 2:
         raise BadFile(path, "wanted a first line of the form wavelength_nm,R,G,B")
     try:
         table = np.array(lines[1:], np.float64).reshape(-1, len(lines[0])).T
     except ValueError:
         why = f"wanted {len(lines[0])} numbers on every line after the first"
         raise BadFile(path, why) from None
-    return Spectrum(table[0], table[1:], path.name), tuple(lines[0][1:])
+    with name_in_errors(path):
+        return _table(table[0], lines[0][0], table[1:], lines[0][1:], path.name, has_shares)
+
+
+def _table(numbers, heading, values, names, label, has_shares):
+    """Return the Spectrum of a table with headings, and the letters of its curves.
+
+    numbers: below `heading`, (L,). values: (C, L) with C names. Raises BadData.
+    """
+    wavelengths = convert_to_nm(numbers, heading)
+    if is_inverse(heading) and wavelengths[0] > wavelengths[-1]:
+        wavelengths, values = wavelengths[::-1], values[:, ::-1]
+    if has_shares:
+        names, factors = zip(*map(read_share_heading, names), strict=True)
+        values = values * np.array(factors)[:, None]
+        check_shares(values, label, names[0])
+    return Spectrum(wavelengths, values, label), tuple(map(letter_of, names))

@@ -8,12 +8,12 @@ from numpy.typing import ArrayLike
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.domain.content import NUMBERS, Cube
 from gpusim.domain.display import DISPLAYS
-from gpusim.domain.errors import BadData, UnknownName
+from gpusim.domain.errors import BadData, BadFile, UnknownName
 from gpusim.domain.memory import describe_array, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.scene.photo import lift
-from gpusim.io.scene.scenes import LIGHT, LUMINANCE, picture
+from gpusim.io.scene.scenes import LIGHT, LUMINANCE, picture, relight
 
 UNITS = ("photon", "energy")
 
@@ -23,7 +23,7 @@ def scene_from(
     wavelengths: ArrayLike | None = None,
     *,
     light: str | None = None,
-    luminance: float = LUMINANCE,
+    luminance: float | None = None,
     linear: bool = False,
     axis: int | None = None,
     unit: str = "photon",
@@ -42,7 +42,8 @@ def scene_from(
         wavelengths: wavelengths of the cube, shape (L,) [nm]; None for a picture.
         light: name of an `illuminant`. A cube with it is reflectance [1], a cube without it is
             radiance. A picture is always reflectance, in D65 by default.
-        luminance: luminance of white in that light [cd m-2].
+        luminance: luminance of white in that light [cd m-2], 100 by default; of a cube of radiance
+            its mean luminance, None keeps its own.
         linear: a picture's numbers are proportional to light; otherwise they are sRGB-encoded.
         axis: axis of the spectra, 0 or -1; needed if both ends of the array have L samples.
         unit: unit of radiance: "photon" [photon s-1 m-2 sr-1 nm-1] or "energy" [W m-2 sr-1 nm-1].
@@ -62,7 +63,8 @@ def scene_from(
     if kind is None or kind.kind not in NUMBERS:
         raise BadData(f"{name}: array of type {kind or array.dtype}, wanted real numbers")
     if wavelengths is None:
-        return _picture(array, kind, light or LIGHT, luminance, linear, name, options)
+        level = LUMINANCE if luminance is None else luminance
+        return _picture(array, kind, light or LIGHT, level, linear, name, options)
     if unit not in UNITS:
         raise UnknownName("unit", unit, UNITS)
     if linear:
@@ -70,12 +72,16 @@ def scene_from(
     wavelengths = np.asarray(wavelengths, np.float64)
     values = _by_bands(array, wavelengths, axis, name)
     if light is not None:
-        white = white_radiance(illuminant(light), luminance)
+        white = white_radiance(illuminant(light), LUMINANCE if luminance is None else luminance)
         return Scene(Cube(wavelengths, values), white, name=name, **options)
     if unit == "energy":
         energy = energy_per_photon(wavelengths)[:, None, None]
         values = (to_host(values, name) / energy).astype(np.float32)
-    return Scene(Cube(wavelengths, values), unit_light(wavelengths), name=name, **options)
+    scene = Scene(Cube(wavelengths, values), unit_light(wavelengths), name=name, **options)
+    try:
+        return relight(name, scene, None, luminance)
+    except BadFile as error:
+        raise BadData(str(error)) from None
 
 
 def _by_bands(array, wavelengths, axis, name):

@@ -20,11 +20,12 @@ from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.memory import describe_array, type_of
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.domain.spectrum import Spectrum, energy_from_photons
+from gpusim.domain.spectrum import energy_from_photons
 from gpusim.io.scene.depth import check_depth
 from gpusim.io.scene.npz import write_npz
 from gpusim.io.scene.readers import CHARTS_TAKE, SUFFIXES, read_scene, select_options
 from gpusim.io.scene.scene_exr import write_scene_exr
+from gpusim.optics.weights import xyz_per_content
 
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances with unknown light
 
@@ -252,10 +253,13 @@ def relight(path, scene: Scene, light: str | None, luminance: float | None) -> S
     if not mean > 0:
         why = f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}"
         raise BadFile(path, why)
-    return dataclasses.replace(scene, content=scene.content.scale(luminance / mean))
+    return dataclasses.replace(scene, content=scene.content.on_host().scale(luminance / mean))
 
 
 def mean_luminance(scene: Scene) -> float:
     """Return the mean luminance of a scene's content (with its margin) [cd m-2]."""
-    mean = Spectrum(scene.wavelengths, scene.content.mean_spectrum())
-    return float(xyz(mean, energy_from_photons(scene.illuminant))[1])
+    try:
+        weights = xyz_per_content(scene.wavelengths, scene.illuminant)[1]
+    except BadData:  # no wavelength that an eye sees
+        return 0.0
+    return float(weights @ scene.content.on_host().mean_spectrum())

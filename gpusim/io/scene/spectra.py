@@ -1,7 +1,6 @@
 """Tables of spectra, .csv, and scenes of patches that show them."""
 
 import math
-import re
 
 import numpy as np
 
@@ -10,6 +9,7 @@ from gpusim.domain.content import Materials
 from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
+from gpusim.domain.units import AXIS, convert_to_nm
 from gpusim.io.files import name_in_errors, read_cells
 
 LONGEST_TABLE = 2**23  # [byte] of text: 1000 spectra of 800 wavelengths
@@ -17,8 +17,6 @@ MOST = 2**16 - 1  # spectra, next to a dark one
 SIZE = (768, 512)  # columns and rows, as for charts
 BYTES_PER_SAMPLE = 24  # of ids and shading while drawing
 SHORTEST, LONGEST = 100, 1e5  # [nm] plausible wavelengths
-COLUMN = re.compile(r"wave|lambda|\bnm\b|um\b|[µμ]m", re.I)  # of a heading above wavelengths
-MICROMETRES = re.compile(r"um\b|_um|[µμ]m|micro", re.I)
 WANTED = (
     "wanted a table of numbers, wavelengths [nm] in the first column and a spectrum in each other one, or "
     "wavelengths in the first line and a spectrum in each other one"
@@ -28,9 +26,9 @@ WANTED = (
 def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     """Read a table of spectra: wavelengths [nm], float64 (L,), and spectra, float64 (spectra, L).
 
-    The first column, or the first line, has the wavelengths, sorted ascending here; headings and
-    names before them are ignored. Wavelengths are in nm, or in um if their heading has this unit.
-    Separators and comments: see `read_cells`. Raises BadFile, DoesNotFit.
+    The first column, or the first line, has the wavelengths, sorted ascending here, in the unit that
+    their heading names, or nm; see `gpusim.domain.units`. Other headings, and names, are ignored,
+    but percent. Separators and comments: see `read_cells`. Raises BadFile, DoesNotFit.
     """
     cells = read_cells(path, LONGEST_TABLE)
     width = max(map(len, cells), default=0)
@@ -39,9 +37,10 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
     if any(len(row) < width for row in cells):
         raise BadFile(path, f"lines of {min(map(len, cells))} to {width} cells; {WANTED}")
     numbers = np.array([[_number(cell) for cell in row] for row in cells])
-    tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0], numbers.T))
+    with name_in_errors(path):
+        tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0], numbers.T))
     found = [table for table in tables if table]
-    if not found or (len(found) > 1 and not COLUMN.search(cells[0][0])):
+    if not found or (len(found) > 1 and not AXIS.search(cells[0][0])):
         both = "both the first column and the first line could be wavelengths; "
         raise BadFile(path, both + WANTED if found else WANTED)
     nm, spectra = found[0]
@@ -69,10 +68,14 @@ def _spectra(words, numbers):
     headings = int(np.argmax(np.append(np.isfinite(numbers[:, 0]), True)))
     if np.isfinite(numbers[1:headings, 1:]).any():
         return None
-    nm = numbers[headings:, 0] * (1e3 if MICROMETRES.search(" ".join(words[:headings])) else 1.0)
+    nm = numbers[headings:, 0]
     steps = np.diff(nm)
-    ordered = len(steps) > 0 and bool((steps > 0).all() or (steps < 0).all())
-    if ordered and SHORTEST <= nm.min() <= nm.max() <= LONGEST:
+    if not len(steps) or not ((steps > 0).all() or (steps < 0).all()):
+        return None
+    axis = next((word for word in words[:headings] if AXIS.search(word)), "")
+    if axis:
+        nm = convert_to_nm(nm, axis)
+    if SHORTEST <= nm.min() <= nm.max() <= LONGEST:
         return (nm, numbers[headings:, 1:].T)
     return None
 
