@@ -155,6 +155,7 @@ class MovingRequest(Request):
                 "wavelengths",
                 "kind",
                 "scale",
+                "key",
                 "fov",
                 "depth",
                 "projection",

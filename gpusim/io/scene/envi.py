@@ -13,7 +13,12 @@ import numpy as np
 
 from gpusim.domain.errors import BadFile, OutOfRange, format_value
 from gpusim.io.files import file_size, open_file, read_text, reading
-from gpusim.io.scene.stacks import SAY_SCALE, check_reflectances, read_planes
+from gpusim.io.scene.stacks import (
+    SAY_SCALE,
+    SAY_WAVELENGTHS,
+    check_reflectances,
+    read_planes,
+)
 
 WHAT = "an ENVI header"
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
@@ -33,7 +38,6 @@ UNSAID = ("", "unknown")
 LONGEST_UM = 100  # without a unit, numbers below are micrometres, others nanometres
 SHORTEST, LONGEST = 100, 1e5  # [nm] plausible wavelengths
 PER_NM = 1e3  # W m-2 sr-1 um-1, ENVI's unit of gains and offsets, in one W m-2 sr-1 nm-1
-SAY_WAVELENGTHS = "give them [nm], for example --wavelengths 400:700:10"
 
 
 @dataclass(frozen=True, eq=False)

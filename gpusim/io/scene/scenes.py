@@ -45,13 +45,14 @@ def open_scene(
     wavelengths: ArrayLike | None = None,
     kind: str | None = None,
     scale: float | None = None,
+    key: str | None = None,
     projection: str | None = None,
 ) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.
 
-    Files are .exr, .npz, ENVI's .hdr (next to its raw file), ISETCam's .mat, photographs .png, .jpg
-    or .tif, planes .tif or .npy, and spectra .csv, which become patches. Options that do not apply
-    to the chart or kind of file are refused.
+    Files are .exr, .npz, ENVI's .hdr (next to its raw file), ISETCam's .mat, cubes .mat, .h5, .hdf5,
+    .he5 or .nc, photographs .png, .jpg or .tif, planes .tif or .npy, and spectra .csv, which become
+    patches. Options that do not apply to the chart or kind of file are refused.
 
     Args:
         name_or_path: name of a chart, or path of a file.
@@ -71,12 +72,14 @@ def open_scene(
             .mat's depthMap: the optical "axis", as in Blender's files; each pixel's "ray", as in
             Mitsuba's (from its near_clip on), which needs `fov`; "none" ignores them.
         wavelengths: wavelengths, strictly ascending [nm], of the planes of a .tif (pages, or
-            channels of a page) or .npy, (L, rows, cols) or (rows, cols, L), or of an ENVI file's
-            bands instead of the header's.
+            channels of a page) or .npy, (L, rows, cols) or (rows, cols, L), or of the bands of
+            an ENVI file, a .mat or an HDF5 file instead of those in the file.
         kind: kind of planes or spectra: "reflectance" or "radiance" [W m-2 sr-1 nm-1]. None is
             reflectance, unless an ENVI header has another.
         scale: number in the file that stands for 1. None is 1 for floats, the largest of uint8 and
             uint16, and the value of an ENVI header.
+        key: name of the cube in a .mat or HDF5 file with several, such as "rad" or "/scene/cube"; or
+            of ISETCam's struct.
         projection: "plane" or "equirectangular" (a panorama), see Scene; replaces the scene's.
 
     Returns:
@@ -102,6 +105,7 @@ def open_scene(
         "wavelengths": wavelengths,
         "kind": kind,
         "scale": scale,
+        "key": key,
         "ray": fov if depth == "ray" else None,
         "no_depth": depth == "none" or None,
     }
