@@ -265,7 +265,8 @@ def _read(path, root, cube, waves, kind, scale):
     fields.ignore("CLASS", "NAME", "PALETTE", "coordinates", "grid_mapping", "long_name", "*_name")
     fields.ignore("*_units", *filter(WAVELENGTHS.search, attributes))
     gain, offset, ignored, own = _factors(path, cube, fields, scale)
-    unit = fields.take("units", fields.take("Units", fields.take("unit", "")))
+    units = [fields.take(name) for name in attributes if name.lower() in ("unit", "units")]
+    unit = units[0] if units else ""
     kind, factor = _quantity(path, cube, unit, kind, scale, notes)
     array = cube.numbers().reshape(shape)
     if scale is None:
