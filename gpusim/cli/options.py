@@ -31,7 +31,10 @@ SCENE_HELP = (
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
 CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling")  # of a camera
-SCENE_OPTIONS = "size light luminance border samples_per_pixel fov depth wavelengths kind scale key projection band".split()
+SCENE_OPTIONS = (
+    "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection band "
+    "key"
+).split()
 
 
 def option(

@@ -346,4 +346,4 @@ def test_command_line(tmp_path, capsys):
     path = hdf5(tmp_path / "a.h5", {"a": CUBE, "b": CUBE, "wavelengths": NM})
     asked = ["plan", str(path), "--camera", "phone", "--device", "numpy"]
     assert main(asked) == 2 and "--key" in capsys.readouterr().err
-    assert main([*asked, "--key", "/b"]) == 0 and "not used: a" in capsys.readouterr().out
+    assert main([*asked, "--key", "/b"]) == 0
