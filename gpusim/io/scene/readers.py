@@ -20,6 +20,7 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import energy_per_photon
 from gpusim.io.exr import read_exr
 from gpusim.io.files import name_in_errors
+from gpusim.io.scene.bands import read_bands
 from gpusim.io.scene.cubes import read_cube
 from gpusim.io.scene.depth import axial_depth
 from gpusim.io.scene.envi import read_envi
@@ -121,6 +122,21 @@ def _mat(path, white, key=None, ray=None, no_depth=False, **planes):
 def _hdf5(path, white, key=None, **planes):
     with open_hdf5(path) as root:
         return _cube(path, white, root, key, **planes)
+
+
+def read_folder(path: Path, white, given: dict) -> Scene:
+    """Return the scene of a folder of bands; given: options {name: value}.
+
+    Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
+    """
+    options = select_options(path, PLANES, given)
+    nm, kind, scale = (options.get(name) for name in PLANES)
+    nm = None if nm is None else checked_wavelengths(nm)
+    kind, scale = checked_kind(kind), checked_scale(scale)
+    nm, values, notes = read_bands(path, nm, scale)
+    if kind == "reflectance" and scale is None:
+        check_reflectances(path, values)
+    return scene_of_planes(path, white, nm, values, kind, notes)
 
 
 def _cube(path, white, root, key, wavelengths=None, kind=None, scale=None):
