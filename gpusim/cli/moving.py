@@ -159,6 +159,7 @@ class MovingRequest(Request):
                 "wavelengths",
                 "kind",
                 "scale",
+                "key",
                 "fov",
                 "depth",
                 "projection",

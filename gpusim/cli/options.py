@@ -25,14 +25,15 @@ if TYPE_CHECKING:  # the command line starts without them
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
 SCENE_HELP = (
     "a chart (colorchecker, slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: "
-    "spectral .exr, .npz, .mat, ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, "
+    "spectral .exr, .npz, .mat, HDF5 .h5, ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, "
     ".jpg or .tif"
 )
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
 CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling")  # of a camera
 SCENE_OPTIONS = (
-    "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection part layer view band"
+    "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection part layer view key "
+    "band"
 ).split()
 
 
@@ -335,12 +336,13 @@ class Request(Options):
     wavelengths: list[float] | None = option(
         type=_wavelengths,
         metavar="NM",
-        help="wavelengths of the planes of a .tif or .npy file, or of the bands of an ENVI file: "
+        help="wavelengths of the planes of a .tif or .npy file, or of the bands of a .mat, HDF5 or "
+        "ENVI file, or of a folder of bands: "
         "FIRST:LAST:STEP, such as 400:700:10, or a list, such as 450,550,650",
     )
     kind: str | None = option(
         choices=("reflectance", "radiance"),
-        help="quantity in planes (.tif, .npy, ENVI) or spectra (.csv); radiance is in W m-2 sr-1 "
+        help="quantity in planes (.tif, .npy, .mat, HDF5, ENVI) or spectra (.csv); radiance is in W m-2 sr-1 "
         "nm-1 (default: reflectance, or as an ENVI header says)",
     )
     scale: float | None = option(
@@ -348,6 +350,10 @@ class Request(Options):
         metavar="N",
         help="value in planes or spectra that means 1.0, such as 100 for percent (default: 1, the "
         "largest value of uint8 and uint16, or as an ENVI header says)",
+    )
+    key: str | None = option(
+        metavar="NAME",
+        help="name of the cube in a .mat or HDF5 file with several, such as rad or /scene/cube",
     )
     fov: float | None = option(
         type=_fov,

@@ -15,7 +15,6 @@ from gpusim.domain.errors import BadFile
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
 
-WITHOUT_PICTURE = (".dng", ".npz")  # files that no setting of the picture changes
 TEXTS = {"help": "a scene through a camera: raw frame, picture and report"}
 
 
@@ -35,16 +34,19 @@ class SimulateRequest(Request):
         "-o",
         "--out",
         metavar="OUT",
-        help="file: .png or .tif display, .exr linear RGB, .dng raw, .npz electrons and DN; may be "
-        "repeated",
+        help="file: .png, .jpg or .tif display, .exr or .npy linear RGB, .dng or .raw.npy raw, .npz "
+        "electrons and DN; may be repeated",
         default=(),
         action="append",
     )
     bits: int | None = option(
         type=int,
         choices=(8, 16, 32),
-        help="bits per value of .png (8, 16), .tif (8, 16, or 32 for linear floats) and .exr (16, "
-        "32) (default: 8, 16 and 32)",
+        help="bits per value of .png (8, 16), .tif and .npy (8, 16, or 32 for linear floats) and "
+        ".exr (16, 32) (default: 8, 16, 32 and 32)",
+    )
+    quality: int | None = option(
+        type=whole(1, 100), metavar="N", help="quality of .jpg, 1 .. 100 (default: 95)"
     )
     report: str | None = option(
         metavar="FILE.json", help="file of the report: models, times and errors"
@@ -68,12 +70,15 @@ class SimulateRequest(Request):
             Conflict: If an option has no effect on these outputs.
         """
         from gpusim.io.atomic import check_output
+        from gpusim.io.frame.frames import JPEG, WITHOUT_PICTURE, frame_format
 
         outputs = [_number_files(path, self.count) for path in self.out]
         first = [output(0) for output in outputs]
         if not self.out:
             self.refuse("bits", "no file is written", "add -o OUT")
-        if all(path.suffix.lower() in WITHOUT_PICTURE for path in first):
+        if not any(frame_format(path) in JPEG for path in first):
+            self.refuse("quality", "no .jpg is written", "add -o OUT.jpg")
+        if all(frame_format(path) in WITHOUT_PICTURE for path in first):
             self.refuse("bits", "these files have one format of numbers")
             self.refuse("scaling", "no picture is written", "add -o with .png, .tif or .exr")
         folder = functools.cache(os.path.realpath)
@@ -109,13 +114,15 @@ def simulate(request: SimulateRequest) -> int:
     Raises:
         GpusimError: If an option or a file is wrong.
     """
-    from gpusim.io.frame.frames import check_format
+    from gpusim.io.frame.frames import JPEG, check_format, frame_format
 
     outputs = request.check_outputs()  # before the work
     camera, scene = request.open_camera(), request.open_scene()
     simulator = request.open_simulator(camera)
-    for path in request.out:
-        check_format(path, replace(camera, sensor=simulator.readout.output), request.bits)
+    seen = replace(camera, sensor=simulator.readout.output)
+    qualities = [request.quality if frame_format(path) in JPEG else None for path in request.out]
+    for path, quality in zip(request.out, qualities, strict=True):
+        check_format(path, seen, request.bits, quality)
     if request.capture is not None:
         frames = iter(request.capture.take(simulator, scene, seed=request.seed))
     else:
@@ -127,8 +134,8 @@ def simulate(request: SimulateRequest) -> int:
         frames = tqdm(frames, total=request.count, unit="frame", disable=None)
     reports = []
     for number, frame in enumerate(frames):
-        for output in outputs:
-            frame.save(output(number), bits=request.bits)
+        for output, quality in zip(outputs, qualities, strict=True):
+            frame.save(output(number), bits=request.bits, quality=quality)
         reports.append(frame.report)
         if request.count == 1:
             print(frame.report)

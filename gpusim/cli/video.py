@@ -21,7 +21,6 @@ from gpusim.cli.options import (
     seed_option,
     whole,
 )
-from gpusim.cli.simulate import WITHOUT_PICTURE
 from gpusim.domain.account import STATUS, worst_state
 from gpusim.domain.errors import BadFile, Conflict, OutOfRange, UnknownName
 
@@ -152,10 +151,14 @@ class VideoRequest(MovingRequest):
     @property
     def suffix(self) -> str:
         """Suffix of the output, in lower case."""
-        return Path(self.out).suffix.lower()
+        from gpusim.io.frame.frames import suffix_of
+
+        return suffix_of(self.out).lower()
 
     def check_settings(self) -> None:
         """Raise Conflict for two options that set the same, or that cannot hold together."""
+        from gpusim.io.frame.frames import WITHOUT_PICTURE
+
         ramped = dict(self.ramp.ranges)
         for name in ("exposure", "iso", "f_number", "focus"):
             flag = name.replace("_", "-")

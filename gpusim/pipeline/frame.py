@@ -140,11 +140,14 @@ class Frame(Pictured):
         """Colour matrices of the camera for raw converters, see `gpusim.color.camera_profile.color_profile`."""
         return color_profile(self.camera)
 
-    def save(self, path: str | PathLike, *, bits: int | None = None) -> None:
+    def save(
+        self, path: str | PathLike, *, bits: int | None = None, quality: int | None = None
+    ) -> None:
         """Write the frame to a file, see `gpusim.io.frame.frames.write_frame`.
 
         Args:
-            path: Path that ends in .png, .tif, .exr, .dng or .npz.
+            path: Path that ends in .png, .jpg, .tif, .exr, .npy, .dng, .npz or .raw.npy.
             bits: Bits of a value; None uses the format's default.
+            quality: Quality of a .jpg, 1 .. 100; None is 95.
         """
-        write_frame(path, self, bits)
+        write_frame(path, self, bits, quality)

@@ -220,6 +220,39 @@ def test_units_of_wavelengths(tmp_path, unit, factor, note):
     assert [note in one for one in scene.notes] == ([True] if note else [])
 
 
+@pytest.mark.parametrize("code", [2, 4, 12, 13])
+def test_headers_without_a_byte_order(tmp_path, code):
+    """The first byte is then the least significant one, as ENVI writes on a PC."""
+    path = write(tmp_path / "a.hdr", CUBE, code=code, byte_order=None)
+    scene = gs.open_scene(path, scale=100)
+    np.testing.assert_allclose(scene.content.values, CUBE / 100, rtol=2.0**-23)
+    assert scene.notes == ("byte order is missing: taken as 0, least significant byte first",)
+    kind = write(tmp_path / "b.hdr", CUBE / 100, code=1, byte_order=None)
+    assert gs.open_scene(kind, scale=100).notes == ()  # bytes have no order
+
+
+def test_fields_that_are_not_used_are_named(tmp_path):
+    fields = {
+        "map_info": "{UTM, 1, 1, 5e5, 4e6, 30, 30, 13, North}",
+        "coordinate_system_string": "{PROJCS[a]}",
+        "fwhm": "{9.5, 9.6, 10, 12}",
+        "acquisition_time": "2026-01-01T00:00:00Z",
+        "description": "{a}",
+        "band_names": "{a, b, c, d}",
+        "default_bands": "{3, 2, 1}",
+        "sensor_type": "x",
+    }
+    scene = gs.open_scene(write(tmp_path / "a.hdr", CUBE / 100, **fields))
+    assert scene.notes == (
+        "fwhm 9.5 .. 12 of the bands: their means are taken as samples",
+        "fields of the header not used: map info, coordinate system string, acquisition time",
+    )
+    # a factor of another quantity
+    path = write(tmp_path / "a.hdr", CUBE / 100, reflectance_scale_factor=100)
+    scene = gs.open_scene(path, kind="radiance")
+    assert scene.notes == ("fields of the header not used: reflectance scale factor",)
+
+
 def test_bands_out_of_order_and_bad_ones(tmp_path):
     path = write(
         tmp_path / "a.hdr", CUBE / 100, wavelength="{700, 500, 600, 400}", bbl="{1, 1, 0, 1.0}"

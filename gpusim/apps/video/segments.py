@@ -57,4 +57,8 @@ def segments_of(frames: int, length: int) -> list[range]:
 
 def numbered_path(path: Path, number: int, count: int) -> Path:
     """Return the path of one of `count` numbered files: `a.png` gives a_0000.png, ..."""
-    return path.with_name(f"{path.stem}_{number:0{max(4, len(str(count - 1)))}d}{path.suffix}")
+    from gpusim.io.frame.frames import suffix_of
+
+    suffix = suffix_of(path)
+    stem = path.name.removesuffix(suffix)
+    return path.with_name(f"{stem}_{number:0{max(4, len(str(count - 1)))}d}{suffix}")

@@ -8,33 +8,47 @@ from gpusim.domain.errors import OutOfRange, UnknownName
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.io.archive import write_archive
+from gpusim.io.atomic import atomic_path
 from gpusim.io.exr import write_rgb_exr
 from gpusim.io.frame.dng import check_dng, write_dng
-from gpusim.io.frame.images import write_png, write_tiff
+from gpusim.io.frame.images import write_jpeg, write_png, write_tiff
 
 # the first is the default
 BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".exr": (32, 16)}
+JPEG = (".jpg", ".jpeg")
+BITS |= dict.fromkeys(JPEG, (8,)) | {".npy": (32, 16, 8)}
 LABEL = "label_"  # begins the keys of labels in archives
-FORMATS = (*BITS, ".dng", ".npz")
+RAW_ARRAY = ".raw.npy"
+WITHOUT_PICTURE = (".dng", ".npz", RAW_ARRAY)  # files that no setting of the picture changes
+FORMATS = (*BITS, *WITHOUT_PICTURE)
+QUALITY = 95  # of a JPEG
+
+
+def suffix_of(path) -> str:
+    """Return the suffix of a frame's file, with .raw of .raw.npy."""
+    path = Path(path)
+    return "".join(path.suffixes[-2:]) if path.name.lower().endswith(RAW_ARRAY) else path.suffix
 
 
 def frame_format(path) -> str:
     """Return the output format of a path's suffix. Raises UnknownName."""
-    suffix = Path(path).suffix.lower()
+    suffix = suffix_of(path).lower()
     if suffix not in FORMATS:
         raise UnknownName("output format", suffix or str(path), FORMATS)
     return suffix
 
 
-def check_format(path, camera, bits=None):
+def check_format(path, camera, bits=None, quality=None):
     """Raise OutOfRange unless the path's format can hold the camera's frames in these bits.
 
-    camera: with binning applied to its sensor. Raises UnknownName for an unknown suffix.
+    quality: of a .jpg, 1 .. 100. camera: with binning applied to its sensor. Raises UnknownName for an unknown suffix.
     """
     suffix = frame_format(path)
     if bits is not None and bits not in BITS.get(suffix, (bits,)):
         allowed = " or ".join(map(str, sorted(BITS[suffix])))
         raise OutOfRange(f"bits of a {suffix} output", bits, allowed)
+    if quality is not None and (suffix not in JPEG or quality not in range(1, 101)):
+        raise OutOfRange(f"quality of a {suffix} output", quality, "1 .. 100, for .jpg only")
     if suffix != ".dng":
         return
     sensor, table = camera.sensor, camera.processor.table
@@ -45,30 +59,40 @@ def check_format(path, camera, bits=None):
         raise OutOfRange("processor.table with a .dng output", found, allowed)
 
 
-def write_frame(path, frame, bits=None):
+def write_frame(path, frame, bits=None, quality=None):
     """Write one frame (gpusim.pipeline.simulator.Frame) in the format of the path's suffix.
 
     - .png: display codes of 8 bits, or of 16, tagged with the display.
     - .tif: the same, 16 bits by default; 32 bits are linear display RGB as floats.
     - .exr: linear display RGB, floats of 32 bits or of 16, with the display's chromaticities.
+    - .jpg: display codes of 8 bits with the display's profile, every pixel in colour.
+    - .npy: linear display RGB, float32 (rows, cols, 3), or display codes of 16 or 8 bits; .raw.npy:
+      digital numbers, as `dn` below.
     - .dng: digital numbers with the tags for raw converters, see `_write_raw`.
     - .npz: `electrons` (mean, float32 [e-]), `dn` (uint16, or float32 without a converter [DN]),
       both (rows, cols) or, of stacked pixels, (C, rows, cols), `exposure_time_s`, `black_level`,
       `white_level`, `gain_dn_per_e`, `cfa`, `channels`; `depth_m` and `label_NAME` of a scene that
       has them, see `gpusim.carry_labels`.
 
-    bits: bits of a sample, not used for .dng and .npz; None is the first of BITS. Raises
-    UnknownName, BadFile, and OutOfRange if the format cannot hold the frame.
+    bits: bits of a sample, not used for .dng, .npz and .raw.npy; None is the first of BITS. quality:
+    of a .jpg, 1 .. 100; None is QUALITY. Raises UnknownName, BadFile, and OutOfRange if the format
+    cannot hold the frame.
     """
-    check_format(path, frame.camera, bits)
+    check_format(path, frame.camera, bits, quality)
     suffix, sensor, display = frame_format(path), frame.camera.sensor, frame.camera.display
-    bits = bits or BITS.get(suffix, (None,))[0]
+    bits = None if suffix in WITHOUT_PICTURE else bits or BITS[suffix][0]
     if suffix == ".png":
         write_png(path, frame.codes(bits), display)
     elif suffix in (".tif", ".tiff"):
         write_tiff(path, frame.linear if bits == 32 else frame.codes(bits), display)
     elif suffix == ".exr":
         write_rgb_exr(path, frame.linear, half=bits == 16, display=display)
+    elif suffix in JPEG:
+        write_jpeg(path, frame.codes(8), display, quality or QUALITY)
+    elif suffix in (".npy", RAW_ARRAY):
+        array = frame.linear if bits == 32 else frame.codes(bits) if bits else frame.raw
+        with atomic_path(path) as temporary, open(temporary, "wb") as file:
+            np.save(file, np.ascontiguousarray(array))
     elif suffix == ".dng":
         _write_raw(path, frame)
     else:

@@ -1,4 +1,4 @@
-"""PNG and TIFF pictures for display, tagged with their colour space."""
+"""PNG, JPEG and TIFF pictures for display, tagged with their colour space."""
 
 import io
 import struct
@@ -12,6 +12,7 @@ from gpusim.io.atomic import atomic_path
 from gpusim.io.frame.icc import icc_profile
 from gpusim.io.png import Header, png
 
+LONGEST_JPEG = 65500  # pixels along an axis, of libjpeg
 TIFF_KINDS = (np.uint8, np.uint16, np.float32)
 
 
@@ -86,6 +87,29 @@ def _chunks(display, has_color):
         chunks[b"cICP"] = bytes([12, 13, 0, 1])
     # a profile of three colours does not apply to grey
     return chunks | ({b"iCCP": icc_profile(display)} if has_color else {})
+
+
+def write_jpeg(path, codes, display=DISPLAYS["srgb"], quality: int = 95):
+    """Write a JPEG, uint8 (rows, cols, 3), with the profile of the display that its codes are for.
+
+    Colour is not subsampled. quality: of libjpeg, 1 .. 100. Raises BadData and BadFile.
+    """
+    from PIL import Image
+
+    codes = np.ascontiguousarray(codes)
+    is_shaped = codes.ndim == 3 and codes.shape[2] == 3 and 0 < codes.size
+    if codes.dtype != np.uint8 or not is_shaped or max(codes.shape) > LONGEST_JPEG:
+        raise BadData(
+            f"{path}: a JPEG needs uint8 of shape (rows, cols, 3), up to {LONGEST_JPEG} pixels along "
+            f"an axis, got {codes.dtype} {codes.shape}"
+        )
+    file = io.BytesIO()
+    profile = icc_profile(display)
+    Image.fromarray(codes).save(
+        file, format="JPEG", quality=quality, subsampling=0, icc_profile=profile
+    )
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(file.getvalue())
 
 
 def write_tiff(path, image, display=DISPLAYS["srgb"]):

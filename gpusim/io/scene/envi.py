@@ -11,9 +11,15 @@ from typing import NoReturn
 
 import numpy as np
 
-from gpusim.domain.errors import BadFile, OutOfRange, format_value
+from gpusim.domain.errors import BadFile, OutOfRange, format_value, one_line
+from gpusim.io.account import Fields
 from gpusim.io.files import file_size, open_file, read_text, reading
-from gpusim.io.scene.stacks import SAY_SCALE, check_reflectances, read_planes
+from gpusim.io.scene.stacks import (
+    SAY_SCALE,
+    SAY_WAVELENGTHS,
+    check_reflectances,
+    read_planes,
+)
 
 WHAT = "an ENVI header"
 TYPES = {1: "u1", 2: "i2", 3: "i4", 4: "f4", 5: "f8", 12: "u2", 13: "u4", 14: "i8", 15: "u8"}
@@ -30,10 +36,12 @@ NANOMETRES: dict[str, float] = {
     **dict.fromkeys("angstroms angstrom".split(), 0.1),
 }
 UNSAID = ("", "unknown")
+# fields that say nothing about light or geometry
+PLAIN = ("description", "file type", "sensor type", "band names", "spectra names", "z plot *")
+PLAIN += ("default *", "header offset", "file compression", "*frame offsets", "class*", "history")
 LONGEST_UM = 100  # without a unit, numbers below are micrometres, others nanometres
 SHORTEST, LONGEST = 100, 1e5  # [nm] plausible wavelengths
 PER_NM = 1e3  # W m-2 sr-1 um-1, ENVI's unit of gains and offsets, in one W m-2 sr-1 nm-1
-SAY_WAVELENGTHS = "give them [nm], for example --wavelengths 400:700:10"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +82,8 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         raise BadFile(path, why)
     planes = cols if library else bands
     wavelengths, good, notes = _wavelengths(header, wavelengths, planes)
-    dtype = header.dtype()
+    dtype, said = header.dtype()
+    notes += said
     kind = kind or header.kind()
     gains, offsets = header.gains(kind, planes)
     factor = header.scale(kind, dtype, gains is not None) if scale is None else scale
@@ -112,7 +121,8 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         )
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
-    return Envi(kind, wavelengths[order], values[..., 0] if library else values, (*notes, *changes))
+    notes += [*changes, *header.fields_left(library)]
+    return Envi(kind, wavelengths[order], values[..., 0] if library else values, tuple(notes))
 
 
 class _SelectedPlanes:
@@ -132,7 +142,8 @@ class _Header:
     """Fields of a header by lower-case names, each checked when it is read."""
 
     def __init__(self, path):
-        self.path, self.fields = path, {}
+        self.path = path
+        self.fields: dict[str, str] = {}
         with open_file(path) as file, reading(path, WHAT):
             if file.read(2) == b"#?":
                 raise BadFile(path, f"a Radiance picture (RGBE), not {WHAT}; convert it to .exr")
@@ -159,6 +170,17 @@ class _Header:
             if self.fields.get(key, value) != value:
                 raise BadFile(path, f"has two different values for {format_value(key)}")
             self.fields[key] = value
+        self.account = Fields(self.fields, "fields of the header not used")
+        self.account.ignore(*PLAIN)
+
+    def fields_left(self, library) -> list[str]:
+        """Return notes on the fields that were not used."""
+        notes = []
+        if "fwhm" in self.fields and not library:
+            width = self.account.take("fwhm").strip("{} ").replace(" ", "").split(",")
+            widths = width[0] if len(set(width)) == 1 else f"{width[0]} .. {width[-1]}"
+            notes = [f"fwhm {one_line(widths, 40)} of the bands: their means are taken as samples"]
+        return [*notes, *self.account.notes()]
 
     def refuse(self, why: str) -> NoReturn:
         """Raise BadFile."""
@@ -166,11 +188,10 @@ class _Header:
 
     def text(self, key, default=None) -> str:
         """Return a field as text."""
-        if key in self.fields:
-            return self.fields[key]
-        if default is None:
+        value = self.account.take(key, default)
+        if value is None:
             self.refuse(f"lacks {key!r}")
-        return default
+        return value
 
     def whole(self, key, default=None, least=1) -> int:
         """Return a field as a whole number."""
@@ -211,17 +232,22 @@ class _Header:
         if self.text("file type", "").lower() == "envi classification":
             self.refuse("file type = ENVI Classification: classes have no spectra")
 
-    def dtype(self) -> np.dtype:
-        """Return the type of the samples with their byte order."""
+    def dtype(self) -> tuple[np.dtype, list[str]]:
+        """Return the type of the samples with their byte order, and notes."""
         code = self.whole("data type")
         if code in COMPLEX:
             self.refuse(f"data type = {code}: complex numbers; wanted real numbers")
         if code not in TYPES:
             self.refuse(f"data type = {code}: wanted one of {', '.join(map(str, TYPES))}")
-        order = self.whole("byte order", 0 if TYPES[code] == "u1" else None, least=0)
+        order = self.whole("byte order", 0, least=0)
         if order > 1:
             self.refuse(f"byte order = {order}: wanted 0 (the least significant byte first) or 1")
-        return np.dtype("<>"[order] + TYPES[code])
+        dtype = np.dtype("<>"[order] + TYPES[code])
+        is_said = "byte order" in self.fields or dtype.itemsize == 1
+        notes = (
+            [] if is_said else ["byte order is missing: taken as 0, least significant byte first"]
+        )
+        return dtype, notes
 
     def kind(self) -> str:
         """Return the kind of the samples according to the header."""
@@ -270,6 +296,7 @@ def _wavelengths(header, own, count):
     path, notes = header.path, []
     if own is not None:
         nm = own
+        header.account.ignore("wavelength", "wavelength units")
         if len(nm) != count:
             allowed = f"{count}, one for each band of {path}"
             raise OutOfRange("wavelengths", f"{len(nm)} numbers", allowed)

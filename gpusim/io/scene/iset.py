@@ -29,36 +29,54 @@ from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
+from gpusim.io.account import note_of
 from gpusim.io.files import name_in_errors
 from gpusim.io.scene.depth import axial_depth
-from gpusim.io.scene.mat import open_mat
-from gpusim.io.scene.mat_value import Value
+from gpusim.io.scene.values import Value
 
 SCENE, OPTICAL_IMAGE = "scene", "opticalimage"
-NAMES = (SCENE, "oi", OPTICAL_IMAGE)  # variables; the first one present is read
+NAMES = (SCENE, "oi", OPTICAL_IMAGE)  # structs; the first one present is read
+# fields that say nothing about light or geometry, or the same in other words
+IGNORED = {"type", "metadata", "comment", "consistency", "bitDepth", "filename", "date", "history"}
 SAVE = "save('scene.mat', 'scene')"
 LONGEST_NAME = 80
+LEAST_PHOTONS = 1e6  # [photon s-1 m-2 sr-1 nm-1] 1e-7 cd m-2: less in `data` is in another unit
 MOST_LIGHTS = 4  # most lights of a mix; each needs one plane per wavelength on the device
 LIGHT_ERROR = 1e-3  # relative error of such light and of the surfaces; radiance is exact
 LEAST_LIGHT = 1e-7  # relative to its mean; less counts as none
 
 
-def read_iset(path, ray: float | None = None, no_depth: bool = False) -> Scene:
-    """Read a scene of ISETCam, see this module.
+def read_iset(
+    path,
+    root: Value,
+    key: str | None = None,
+    ray: float | None = None,
+    no_depth: bool = False,
+) -> Scene | None:
+    """Read a scene of ISETCam, see this module; return None if the file has none.
 
     Surfaces and light are separated if the file has the light; light that varies over the scene as
     a mix of up to 4 (`Illuminated`). A linear model is kept. An optical image becomes the radiance
     that gives its irradiance behind a lens of its f-number without blur; `notes` report this and
     other changes.
 
-    ray: horizontal field of view [rad] if distances are along each pixel's ray; None: they are
-    along the axis. no_depth: leave distances out. Raises BadFile, DoesNotFit.
+    root: from `open_mat`. key: name of the struct, if there are several. ray: horizontal field of
+    view [rad] if distances are along each pixel's ray; None: they are along the axis. no_depth:
+    leave distances out. Raises BadFile, DoesNotFit.
     """
-    with open_mat(path) as root, name_in_errors(path):
-        scene = _File(Path(path), root).scene(ray, no_depth)
+    with name_in_errors(path):
+        scene = _File(Path(path), root).scene(key, ray, no_depth)
+    if scene is None:
+        return None
     if ray and scene.depth is None:
         raise BadFile(path, 'depth = "ray", but there is no depthMap of a scene')
     return scene
+
+
+def is_iset(path, root: Value) -> bool:
+    """Return whether an open file has a scene of ISETCam. Raises BadFile."""
+    file = _File(Path(path), root)
+    return bool("mcCOEF" in root.names or file.own_cube() or file.only_object(None))
 
 
 class _File:
@@ -71,39 +89,48 @@ class _File:
         """Raise BadFile."""
         raise BadFile(self.path, why)
 
-    def scene(self, ray, no_depth):
+    def scene(self, key, ray, no_depth):
+        """Return the scene, or None if there is none of ISETCam."""
         names = self.root.names
-        found = next((name for name in (*NAMES, "mcCOEF", "photons") if name in names), None)
-        if found in NAMES:
-            return self.scene_of_object(self.root.get(found), ray, no_depth)
-        if found == "mcCOEF":
+        if key is None and "mcCOEF" in names:
             content = self.linear_model()
-        elif found or ("data" in names and ("wave" in names or "wavelength" in names)):
-            content = self.cube(self.root, found or "data", self.waves(self.root))
+        elif key is None and (cube := self.own_cube()):
+            content = self.cube(self.root, cube, self.waves(self.root))
         else:
-            return self.scene_of_object(self.only_object(), ray, no_depth)
+            found = self.only_object(key)
+            return found and self.scene_of_object(found, ray, no_depth)
         content, light = self.split_light(content, self.root.get("illuminant"))
         return self.make_scene(content, light, self.root, self.root.get("fov"))
 
-    def only_object(self) -> Value:
-        """Return the only struct with photons, with any name."""
-        found = {}
-        for name in self.root.names:
-            value = self.root.get(name)
-            if value is not None and value.get("data", "photons") is not None:
-                found[name] = value
-        if len(found) == 1:
-            return found.popitem()[1]
-        what = f"no scene of ISETCam: it holds {', '.join(self.root.names) or 'nothing'}"
-        if found:
-            what = f"several structs with data.photons ({', '.join(found)})"
-        self.refuse(f"{what}; wanted one, {SAVE}, or a multispectral file")
+    def own_cube(self) -> str | None:
+        """Return the name of the radiance of a multispectral file, or None."""
+        if "photons" in self.root.names:
+            return "photons"
+        waves = self.root.get("wave") or self.root.get("wavelength")
+        data = self.root.get("data")
+        if waves is None or data is None or data.kind != "numbers":
+            return None
+        # the name alone does not say the unit
+        is_radiance = self.root.get("dmax") or data.numbers().max(initial=0) > LEAST_PHOTONS
+        return "data" if is_radiance else None
+
+    def only_object(self, key) -> Value | None:
+        """Return the only struct with photons, or a scene by its usual name; None without one."""
+        names = self.root.names if key is None else [key]
+        held = {name: value for name in names if (value := self.root.get(name)) is not None}
+        own = [held[name] for name in NAMES if name in held and held[name].kind == "struct"]
+        found = [value for value in held.values() if value.get("data", "photons") is not None]
+        if not own and len(found) > 1:
+            names = ", ".join(value.label for value in found)
+            self.refuse(
+                f"several structs with data.photons ({names}); choose one by "
+                f'key="{found[0].label}" or --key'
+            )
+        usual = [value for value in own if value.get("type") or value.get("data")]
+        return next(iter(usual or found), None)
 
     def scene_of_object(self, value, ray, no_depth):
         """Return the scene from ISETCam's scene or optical image."""
-        if value is None or value.kind != "struct":
-            what = "an empty scene" if value is None else f"{value.label}: {value.kind}"
-            self.refuse(f"{what}; wanted a scene or an optical image of ISETCam, {SAVE}")
         kind = self.text(value, "type", SCENE).lower()
         if kind not in (SCENE, OPTICAL_IMAGE):
             why = f"{value.label}: of type {kind!r}; wanted {SCENE!r} or {OPTICAL_IMAGE!r}, {SAVE}"
@@ -174,14 +201,10 @@ class _File:
 
     def make_scene(self, content, light, owner, degrees, depth=None):
         fov = None if degrees is None else math.radians(self.single(degrees))
-        return Scene(
-            content,
-            light,
-            fov=fov,
-            depth=depth,
-            name=self.text(owner, "name", self.path.stem),
-            notes=tuple(self.notes),
-        )
+        name = self.text(owner, "name", self.path.stem)
+        left = [one for one in self.root.unused() if not IGNORED.intersection(one.split("."))]
+        notes = (*self.notes, *note_of("not used", left))
+        return Scene(content, light, fov=fov, depth=depth, name=name, notes=notes)
 
     def cube(self, owner, key, wavelengths):
         return Cube(wavelengths, self.planes(owner, key, len(wavelengths)))

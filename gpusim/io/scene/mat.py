@@ -1,7 +1,7 @@
 """MATLAB files: variables by name, each read on access.
 
 Version 5 (`save` with -v6 or -v7) is read here, version 7.3, which is HDF5, by
-`gpusim.io.scene.mat_hdf5`. Source: MathWorks, MAT-File Format (R2019b). Memory is taken only after
+`gpusim.io.scene.hdf5`. Source: MathWorks, MAT-File Format (R2019b). Memory is taken only after
 checking that the file has the declared bytes. A file of version 5 does not declare its number of
 variables: if it is cut off between two of them, the rest is missed.
 """
@@ -18,9 +18,10 @@ from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
 from gpusim.io.archive import LARGEST_RATIO, PIECE
 from gpusim.io.files import file_size, open_file, reading
-from gpusim.io.scene.mat_hdf5 import open_hdf5
-from gpusim.io.scene.mat_value import HDF5, LONGEST_TEXT, MOST_NAMES, USER_BLOCK, WHAT, Value
+from gpusim.io.scene.hdf5 import USER_BLOCKS, open_hdf5, user_block
+from gpusim.io.scene.values import HDF5, LONGEST_TEXT, MOST_NAMES, Value
 
+WHAT = "a MATLAB file"
 HEADER = 128  # [byte] of version 5
 MATRIX, COMPRESSED = 14, 15  # types of elements
 TYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
@@ -37,10 +38,9 @@ def open_mat(path) -> Iterator[Value]:
     """Open a MATLAB file as a struct of its variables, valid inside the block. Raises BadFile."""
     with open_file(path) as file:
         with reading(path, WHAT):
-            head = file.read(USER_BLOCK + len(HDF5))
-            if HDF5 not in (head[: len(HDF5)], head[USER_BLOCK:]):
-                root = _Root(path, file, head)
-        if HDF5 not in (head[: len(HDF5)], head[USER_BLOCK:]):
+            head = file.read(USER_BLOCKS[1] + len(HDF5))
+            root = None if user_block(head) is not None else _Root(path, file, head)
+        if root is not None:
             yield _require_variables(root)
             return
     with open_hdf5(path) as variables:
@@ -83,7 +83,11 @@ class _Root(Value):
         super().__init__(path, "the file", "struct", (1, 1), tuple(self.places))
 
     def _field(self, name):
-        return _Matrix(self.path, name, self._variable(self.path, self.places[name]), self.order)
+        head = self._variable(self.path, self.places[name], HEAD)
+        return _Matrix(self.path, name, head, self.order, lambda: self._whole(name))
+
+    def _whole(self, name):
+        return self._variable(self.path, self.places[name])
 
     def _variable(self, path, place, most=2**63):
         """Return the bytes of a variable, or the first `most` of them."""
@@ -134,10 +138,10 @@ class _Root(Value):
 
 
 class _Matrix(Value):
-    """A variable or field of version 5."""
+    """A variable or field of version 5; `whole` returns its bytes, of which `view` has the head."""
 
-    def __init__(self, path, label, view, order):
-        self.view, self.order = view, order
+    def __init__(self, path, label, view, order, whole):
+        self.view, self.order, self.whole = view, order, whole
         if not len(view):  # MATLAB may write nothing for []
             super().__init__(path, label, "numbers", (0, 0))
             return
@@ -151,6 +155,7 @@ class _Matrix(Value):
         elif self.type == STRUCT:
             kind = "struct" if math.prod(shape) == 1 else "a struct array"
         if kind == "struct":
+            self.view = whole()
             self._find_fields()
         super().__init__(path, label, kind, shape, tuple(self.places))
 
@@ -167,18 +172,16 @@ class _Matrix(Value):
             self.places[_letters(letters[first : first + wide])] = data
 
     def _field(self, name):
-        return _Matrix(self.path, f"{self.label}.{name}", self.places[name], self.order)
-
-    def _check(self):
-        """Do nothing: all bytes of the variable have been read."""
+        data = self.places[name]
+        return _Matrix(self.path, f"{self.label}.{name}", data, self.order, lambda: data)
 
     def _array(self):
-        kind, data, _ = _element(self.view, self.order, self.start)
+        kind, data, _ = _element(self.whole(), self.order, self.start)
         numbers = np.frombuffer(data, self.order + TYPES[kind])
         return numbers.astype(CLASSES[self.type], copy=False).reshape(self.shape, order="F")
 
     def _text(self):
-        kind, data, _ = _element(self.view, self.order, self.start)
+        kind, data, _ = _element(self.whole(), self.order, self.start)
         name = LETTERS[kind]
         ending = {"<": "-le", ">": "-be"}[self.order] if name in ("utf-16", "utf-32") else ""
         return bytes(data[: 4 * LONGEST_TEXT]).decode(name + ending, "replace")

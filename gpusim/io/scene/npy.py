@@ -7,7 +7,7 @@ import numpy as np
 from gpusim.domain.errors import BadFile
 from gpusim.io.archive import LONGEST_HEADER, NUMBERS, array_header
 from gpusim.io.files import file_size, open_file, reading
-from gpusim.io.scene.stacks import SAY_SCALE, read_planes
+from gpusim.io.scene.stacks import read_planes, whole_scale
 
 WHAT = "a NumPy array (.npy)"
 
@@ -45,17 +45,9 @@ def read_npy(path, count: int, scale: float | None = None) -> tuple[np.ndarray, 
                 f"truncated or damaged: {wanted} bytes of numbers expected, {size - start} present",
             )
         if scale is None:
-            scale = _scale(path, dtype)
+            scale = whole_scale(path, dtype)
         with reading(path, "a file that can be mapped"):
             mapped = np.memmap(file, dtype, "r", start, shape, "F" if fortran else "C")
         return read_planes(
             path, mapped if shape[0] == count else mapped.transpose(2, 0, 1), scale=scale
         )
-
-
-def _scale(path, dtype) -> float:
-    if dtype.kind == "f":
-        return 1.0
-    if dtype.kind == "u" and dtype.itemsize <= 2:
-        return float(np.iinfo(dtype).max)
-    raise BadFile(path, f"whole numbers of type {dtype}; {SAY_SCALE}")

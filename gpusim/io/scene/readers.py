@@ -21,9 +21,14 @@ from gpusim.domain.scene import PANORAMA, Scene, unit_light
 from gpusim.domain.spectrum import energy_from_photons, energy_per_photon
 from gpusim.io.exr import read_exr
 from gpusim.io.files import name_in_errors
+from gpusim.io.scene.bands import read_bands
+from gpusim.io.scene.cubes import read_cube
 from gpusim.io.scene.depth import axial_depth
 from gpusim.io.scene.envi import read_envi
-from gpusim.io.scene.iset import read_iset
+from gpusim.io.scene.hdf5 import SUFFIXES as HDF5
+from gpusim.io.scene.hdf5 import open_hdf5
+from gpusim.io.scene.iset import is_iset, read_iset
+from gpusim.io.scene.mat import open_mat
 from gpusim.io.scene.npy import read_npy
 from gpusim.io.scene.npz import read_npz
 from gpusim.io.scene.photo import damage, lift, read_photo
@@ -106,8 +111,46 @@ def _npz(path, white, no_depth=False):
     return dataclasses.replace(scene, depth=None) if no_depth else scene
 
 
-def _iset(path, white, **options):
-    return read_iset(path, **options)
+def _mat(path, white, key=None, ray=None, no_depth=False, **planes):
+    with open_mat(path) as root:
+        if not planes or (key is None and is_iset(path, root)):
+            for name, value in planes.items():
+                allowed = f"not for scenes of ISETCam such as {path}; or give key= of an array"
+                raise OutOfRange(name, format_value(value), allowed)
+            scene = read_iset(path, root, key, ray, no_depth)
+            if scene is not None:
+                return scene
+        if ray is not None:
+            raise OutOfRange("depth", '"ray"', f"for scenes of ISETCam only, not for {path}")
+        return _cube(path, white, root, key, **planes)
+
+
+def _hdf5(path, white, key=None, **planes):
+    with open_hdf5(path) as root:
+        return _cube(path, white, root, key, **planes)
+
+
+def read_folder(path: Path, white, given: dict) -> Scene:
+    """Return the scene of a folder of bands; given: options {name: value}.
+
+    Raises BadFile, UnknownName, OutOfRange, DoesNotFit.
+    """
+    options = select_options(path, PLANES, given)
+    nm, kind, scale = (options.get(name) for name in PLANES)
+    nm = None if nm is None else checked_wavelengths(nm)
+    kind, scale = checked_kind(kind), checked_scale(scale)
+    nm, values, notes = read_bands(path, nm, scale)
+    if kind == "reflectance" and scale is None:
+        check_reflectances(path, values)
+    return scene_of_planes(path, white, nm, values, kind, notes)
+
+
+def _cube(path, white, root, key, wavelengths=None, kind=None, scale=None):
+    wavelengths = None if wavelengths is None else checked_wavelengths(wavelengths)
+    held = read_cube(
+        path, root, key, wavelengths, kind and checked_kind(kind), checked_scale(scale)
+    )
+    return scene_of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
 
 
 def _photo(path, white):
@@ -213,7 +256,8 @@ PLANES = ("wavelengths", "kind", "scale")
 READERS = {
     ".exr": Reader(_exr, ("bands", "ray", "no_depth", "part", "layer", "view")),
     ".npz": Reader(_npz, ("no_depth",)),
-    ".mat": Reader(_iset, ("ray", "no_depth")),
+    ".mat": Reader(_mat, ("ray", "no_depth", "key", *PLANES)),
+    **dict.fromkeys(HDF5, Reader(_hdf5, ("key", *PLANES))),
     **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)),
     **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
     ".hdr": Reader(_envi, (*PLANES, "size")),

@@ -23,7 +23,13 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import energy_from_photons
 from gpusim.io.scene.depth import check_depth
 from gpusim.io.scene.npz import write_npz
-from gpusim.io.scene.readers import CHARTS_TAKE, SUFFIXES, read_scene, select_options
+from gpusim.io.scene.readers import (
+    CHARTS_TAKE,
+    SUFFIXES,
+    read_folder,
+    read_scene,
+    select_options,
+)
 from gpusim.io.scene.scene_exr import write_scene_exr
 from gpusim.optics.weights import xyz_per_content
 
@@ -46,6 +52,7 @@ def open_scene(
     wavelengths: ArrayLike | None = None,
     kind: str | None = None,
     scale: float | None = None,
+    key: str | None = None,
     projection: str | None = None,
     part: int | str | None = None,
     layer: str | None = None,
@@ -53,12 +60,13 @@ def open_scene(
 ) -> Scene:
     """Open a built-in chart (`CHARTS`) or a scene file.
 
-    Files are .exr, .npz, ENVI's .hdr (next to its raw file), ISETCam's .mat, photographs .png, .jpg
-    or .tif, planes .tif or .npy, and spectra .csv, which become patches. Options that do not apply
-    to the chart or kind of file are refused.
+    Files are .exr, .npz, ENVI's .hdr (next to its raw file), ISETCam's .mat, cubes .mat, .h5, .hdf5,
+    .he5 or .nc, photographs .png, .jpg or .tif, planes .tif or .npy, and spectra .csv, which become
+    patches; and folders of bands, .png or .tif, with the wavelengths in their names, such as
+    scene_450nm.png. Options that do not apply to the chart or kind of file are refused.
 
     Args:
-        name_or_path: name of a chart, or path of a file.
+        name_or_path: name of a chart, or path of a file or a folder of bands.
         size: columns and rows of the frame of a chart or of patches [pixel]; other files have a
             fixed size.
         light: name of an `illuminant`, replaces the scene's light. None keeps the scene's;
@@ -75,12 +83,14 @@ def open_scene(
             .mat's depthMap: the optical "axis", as in Blender's files; each pixel's "ray", as in
             Mitsuba's (from its near_clip on), which needs `fov`; "none" ignores them.
         wavelengths: wavelengths, strictly ascending [nm], of the planes of a .tif (pages, or
-            channels of a page) or .npy, (L, rows, cols) or (rows, cols, L), or of an ENVI file's
-            bands instead of the header's.
+            channels of a page) or .npy, (L, rows, cols) or (rows, cols, L), or of the bands of
+            an ENVI file, a .mat, an HDF5 file or a folder instead of those in the file or names.
         kind: kind of planes or spectra: "reflectance" or "radiance" [W m-2 sr-1 nm-1]. None is
             reflectance, unless an ENVI header has another.
         scale: number in the file that stands for 1. None is 1 for floats, the largest of uint8 and
             uint16, and the value of an ENVI header.
+        key: name of the cube in a .mat or HDF5 file with several, such as "rad" or "/scene/cube"; or
+            of ISETCam's struct.
         projection: "plane" or "equirectangular" (a panorama), see Scene; replaces the scene's.
         part: name or number (from 0) of the only part of an .exr to read; None reads all parts that
             have one frame.
@@ -111,6 +121,7 @@ def open_scene(
         "wavelengths": wavelengths,
         "kind": kind,
         "scale": scale,
+        "key": key,
         "ray": fov if depth == "ray" else None,
         "no_depth": depth == "none" or None,
         "part": part,
@@ -130,6 +141,9 @@ def open_scene(
     elif path.suffix.lower() in SUFFIXES:
         white = white_radiance(illuminant(light or LIGHT), level)
         scene = relight(path, read_scene(path, white, given), light, luminance)
+    elif os.path.isdir(path):
+        white = white_radiance(illuminant(light or LIGHT), level)
+        scene = relight(path, read_folder(path, white, given), light, luminance)
     else:
         for header in (f"{path}.hdr", path.with_suffix(".hdr") if path.suffix else ""):
             if os.path.isfile(header):

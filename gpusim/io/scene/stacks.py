@@ -9,6 +9,7 @@ from gpusim.domain.memory import require_memory
 PIECE = 2**22  # [byte] of stored numbers converted at once, at least one row of all planes
 COPIES = 4  # of a piece: as stored, as float32, the ignored mask, and a temporary result
 BRIGHTEST = 2.0  # largest plausible mean of reflectances
+SAY_WAVELENGTHS = "give them [nm], for example --wavelengths 400:700:10"
 SAY_SCALE = "give the number that stands for 1, for example scale=10000 or --scale 10000"
 
 
@@ -23,6 +24,19 @@ def checked_scale(scale) -> float | None:
     if not 1e-30 <= value <= 1e30:
         raise OutOfRange("scale", scale, "the number that stands for 1, above 0")
     return value
+
+
+def whole_scale(path, dtype, label: str = "") -> float:
+    """Return the largest number of uint8 and uint16, which stands for 1; 1 for floats.
+
+    label: name of the numbers in the file. Raises BadFile for other whole numbers.
+    """
+    if dtype.kind == "f":
+        return 1.0
+    if dtype.kind == "u" and dtype.itemsize <= 2:
+        return float(np.iinfo(dtype).max)
+    named = f"{label}: " if label else ""
+    raise BadFile(path, f"{named}whole numbers of type {dtype}; {SAY_SCALE}")
 
 
 def read_planes(

@@ -1,4 +1,4 @@
-"""MATLAB files of version 7.3 (HDF5): variables are data sets, structs groups, axes reversed."""
+"""HDF5 files, also those of MATLAB 7.3, whose structs are groups and whose axes are reversed."""
 
 import math
 import mmap
@@ -12,51 +12,61 @@ import numpy as np
 from gpusim.domain.errors import BadFile
 from gpusim.io.archive import LARGEST_RATIO
 from gpusim.io.files import open_file, reading
-from gpusim.io.scene.mat_value import HDF5, MOST_NAMES, USER_BLOCK, WHAT, Value
+from gpusim.io.scene.values import HDF5, LONGEST_TEXT, MOST_NAMES, Value
 
+SUFFIXES = (".h5", ".hdf5", ".he5", ".nc")
+WHAT = "an HDF5 file"
+USER_BLOCKS = (0, *(2**power for power in range(9, 21)))  # [byte] before the HDF5 data
 HIDDEN = "#"  # begins names of MATLAB's internal items
 CLASS, EMPTY = "MATLAB_class", "MATLAB_empty"  # attributes
 LONGEST_CLASS = 256  # letters
 LARGEST_HEAP = 2**20  # [byte] of a group's names
 MOST_AXES = 4  # of numbers
-# deflate, shuffle, fletcher32: filters that expand by no more than LARGEST_RATIO
-FILTERS = (1, 2, 3)
+# filters that expand by no more than LARGEST_RATIO
+FILTERS = {1: "deflate", 2: "shuffle", 3: "fletcher32", 32000: "lzf"}
 
 
 @contextmanager
 def open_hdf5(path) -> Iterator[Value]:
-    """Open a file of version 7.3 as `open_mat` does. Raises BadFile."""
-    try:
-        import h5py
-    except ImportError:
-        raise BadFile(
-            path,
-            "a MATLAB file of version 7.3 (HDF5): wanted pip install 'gpusim[isetcam]', or a file "
-            "written by save('scene.mat', 'scene', '-v7')",
-        ) from None
-    with (
-        open_file(path) as whole,
-        reading(path, WHAT),
-        mmap.mmap(whole.fileno(), 0, access=mmap.ACCESS_READ) as data,
-    ):
-        _check_ends(data)
+    """Open an HDF5 file as a struct of its groups and data sets, valid inside the block.
+
+    Raises BadFile.
+    """
+    import h5py
+
+    with open_file(path) as whole, reading(path, WHAT):
+        if not os.fstat(whole.fileno()).st_size:
+            raise BadFile(path, "is empty")
+        with mmap.mmap(whole.fileno(), 0, access=mmap.ACCESS_READ) as data:
+            start = user_block(data)
+            if start is None:
+                raise BadFile(path, f"not {WHAT}: it has no signature of one")
+            _check_ends(data, start)
+            is_matlab = start > 0 and data[:6] == b"MATLAB"
     with reading(path, WHAT):
         file = h5py.File(path, "r", locking=False)
     try:
         with reading(path, WHAT):
-            root = _Item(path, "the file", file, os.path.getsize(path))
+            root = _Item(path, "the file", file, os.path.getsize(path), is_matlab)
         yield root
     finally:
         file.close()
 
 
+def user_block(data) -> int | None:
+    """Return the number of bytes before the HDF5 data of a file; None if it has none."""
+    return next((at for at in USER_BLOCKS if data[at : at + len(HDF5)] == HDF5), None)
+
+
 class _Item(Value):
     """A group or a data set."""
 
-    def __init__(self, path, label, item, size):
+    what = WHAT
+
+    def __init__(self, path, label, item, size, is_matlab):
         import h5py
 
-        self.item, self.size = item, size  # [byte] of the file
+        self.item, self.size, self.is_matlab = item, size, is_matlab  # size: [byte] of the file
         of = _class(item)
         if isinstance(item, h5py.Group):
             if len(item) > MOST_NAMES:
@@ -71,20 +81,39 @@ class _Item(Value):
             super().__init__(path, label, kind, (1, 1), tuple(names) if kind == "struct" else ())
             return
         if not isinstance(item, h5py.Dataset):
-            raise ValueError(f"{label} is neither a group nor a data set")
-        shape = (0, 0) if item.shape is None or EMPTY in item.attrs else item.shape[::-1] or (1, 1)
+            super().__init__(path, label, "a link or a type of numbers", (1, 1))
+            return
+        self.rows_first = is_matlab or of != ""  # other programs write the axes as they are
+        shape = (0, 0) if item.shape is None or EMPTY in item.attrs else item.shape
         is_number = item.dtype.kind in "iuf" and item.dtype.itemsize <= 8
         kind = "numbers" if is_number else f"an array of {item.dtype}"
         kind = {"char": "text", "cell": "a cell array"}.get(of, kind)
-        super().__init__(path, label, kind, shape)
+        super().__init__(path, label, kind, (shape[::-1] if self.rows_first else shape) or (1, 1))
+
+    def attributes(self):
+        """Return the attributes, without those that are long or of other kinds."""
+        found = {}
+        with reading(self.path, self.what):
+            for name in list(self.item.attrs)[:MOST_NAMES]:
+                stored = self.item.attrs.get_id(name)
+                if stored.get_storage_size() > LONGEST_TEXT or stored.dtype.kind not in "iufSO":
+                    continue
+                if stored.dtype.kind == "O" and stored.shape not in ((), (1,)):
+                    continue  # references, or many texts
+                value = self.item.attrs[name]
+                value = value[0] if stored.dtype.kind == "O" and stored.shape == (1,) else value
+                if isinstance(value, bytes):
+                    value = value.decode("utf-8", "replace")
+                if isinstance(value, str) or np.asarray(value).dtype.kind in "iuf":
+                    found[name] = value if isinstance(value, str) else np.asarray(value)
+        return found
 
     def _local_item(self, name):
-        """Return the item with a name; raise ValueError if it is in another file."""
+        """Return the item with a name, or None if it is a link, perhaps to another file."""
         import h5py
 
-        if not isinstance(self.item.get(name, getlink=True), h5py.HardLink):
-            raise ValueError(f"{name} is a link to something else")
-        return self.item[name]
+        is_here = isinstance(self.item.get(name, getlink=True), h5py.HardLink)
+        return self.item[name] if is_here else None
 
     def _holds_references(self, name):
         """Whether a field is of a struct array: references to its values in the elements."""
@@ -100,8 +129,9 @@ class _Item(Value):
         if self._holds_references(name) and item.size == 1:
             _check(self.path, self.label, item, self.size)
             item = self.item.file[np.asarray(item[()]).item()]
-        label = f"{self.label}.{name}" if self.label != "the file" else name
-        return _Item(self.path, label, item, self.size)
+        label = f"{self.label}.{name}" if self.is_matlab else f"{self.label}/{name}"
+        label = name if self.label == "the file" else label
+        return _Item(self.path, label, item, self.size, self.is_matlab)
 
     def _check(self):
         _check(self.path, self.label, self.item, self.size)
@@ -109,20 +139,19 @@ class _Item(Value):
     def _array(self):
         array = self.item[()]
         array = np.asarray(array).astype(array.dtype.newbyteorder("="), copy=False)
-        return array.T.reshape(self.shape)
+        return (array.T if self.rows_first else array).reshape(self.shape)
 
     def _text(self):
         return np.asarray(self.item[()]).astype("<u2").tobytes().decode("utf-16-le", "replace")
 
 
-def _check_ends(data):
-    """Raise ValueError if the structures of a file form a loop.
+def _check_ends(data, base):
+    """Raise ValueError if the structures of a file form a loop; base: start of its HDF5 data.
 
     HDF5's library (2.0) follows a loop of free blocks of a heap until memory ends, and a loop of
     tree nodes until its stack ends. It finds all other loops that were tried. Source: HDF5 File
     Format Specification 3.0, III.A, III.D.
     """
-    base = 0 if data[: len(HDF5)] == HDF5 else USER_BLOCK
     version = data[base + len(HDF5)]
     at = base + (13 if version < 2 else 9)
     if data[at : at + 2] != b"\x08\x08":
@@ -169,7 +198,12 @@ def _check(path, label, item, size):
         raise BadFile(path, f"{label}: numbers that are not in the file itself")
     filters = [plist.get_filter(number)[0] for number in range(plist.get_nfilters())]
     if not set(filters) <= set(FILTERS):
-        raise BadFile(path, f"{label}: packed by another method than MATLAB's")
+        known = ", ".join(FILTERS.values())
+        other = next(number for number in filters if number not in FILTERS)
+        raise BadFile(
+            path,
+            f"{label}: packed by filter {other}; wanted {known}: h5repack -f GZIP=4 unpacks it",
+        )
     largest = nbytes
     if layout == h5py.h5d.CHUNKED:
         largest = max(nbytes, math.prod(plist.get_chunk()) * item.dtype.itemsize)
@@ -183,7 +217,7 @@ def _check(path, label, item, size):
 
 def _class(item) -> str:
     """Return the MATLAB class of a value, "" if the file does not have it."""
-    if CLASS not in item.attrs:
+    if item is None or CLASS not in item.attrs:
         return ""
     stored = item.attrs.get_id(CLASS)
     if stored.shape != () or stored.dtype.kind != "S" or stored.dtype.itemsize > LONGEST_CLASS:
