@@ -65,7 +65,7 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     (rows, length), cols = a.shape, b.shape[1]
     if np.iscomplexobj(a) or np.iscomplexobj(b):
         every = multiply(_parts(a, 0), _parts(b, 1))
-        real, imaginary = every[:rows, :cols], 0.0
+        real, imaginary = every[:rows, :cols], np.zeros((rows, cols), every.dtype)
         if np.iscomplexobj(a):
             imaginary = every[rows:, :cols]
         if np.iscomplexobj(b):
