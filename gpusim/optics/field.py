@@ -121,10 +121,14 @@ def choose(
         # places nearer than these add nothing that eigen-kernels of as many places lack
         if min(np.array(shape) - SPACING * (np.array(grid) - 1)) < 0:
             break
+        # finer grids cost more: stop if this one costs more than one that is enough, or is enough
+        if missed(candidates[0]) <= 1:
+            edges, terms = _cells(_windows(shape, grid), shape, truth.shape[-1] // 2)
+            if _cost(edges, truth.shape[-1] // 2, terms) > candidates[0].cost:
+                break
         blur = overlap_add(lens, shape, grid, **known)
         candidates.append(blur)
-        # finer grids cost more: stop if this one is enough, or costs more than one that is
-        if missed(blur) <= 1 or (missed(candidates[0]) <= 1 and blur.cost > candidates[0].cost):
+        if missed(blur) <= 1:
             break
     good = [blur for blur in candidates if missed(blur) <= 1]
     return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=missed)
@@ -163,7 +167,7 @@ def overlap_add(
         if not 2 <= count <= max(size, 2):
             wanted = f"2 .. {shape[0]} rows and 2 .. {shape[1]} columns"
             raise OutOfRange("field grid", f"{grid[0]} x {grid[1]}", wanted)
-    axes = [_Window(size, count, window) for size, count in zip(shape, grid, strict=True)]
+    axes = _windows(shape, grid, window)
     kernels = _kernels(lens, _mesh(axes[0].nodes, axes[1].nodes))
     reach = kernels.shape[-1] // 2
     through = kernels.reshape(*grid, -1)
@@ -173,15 +177,11 @@ def overlap_add(
         through = np.moveaxis(solved.reshape(first.shape), 0, axis)
     kernels = through.reshape(kernels.shape)
     along_y, along_x = (one.at(np.arange(size))[1] for one, size in zip(axes, shape, strict=True))
-    terms = along_y.shape[1] * along_x.shape[1]
+    edges, terms = _cells(axes, shape, reach)
     tiles = [len(one.knots) - 1 for one in axes]
     corner = np.arange(tiles[0])[:, None] * grid[1] + np.arange(tiles[1])
     steps = (np.arange(along_y.shape[1])[:, None] * grid[1] + np.arange(along_x.shape[1])).ravel()
     index = (corner[..., None] + steps).reshape(-1, terms)
-    edges = tuple(
-        np.array([-reach, *np.ceil(one.knots[1:-1]).astype(int), size + reach])
-        for one, size in zip(axes, shape, strict=True)
-    )
     probes, wanted = _truth(lens, shape, truth)
     (ty, v), (tx, u) = (one.at(probes[:, axis]) for axis, one in enumerate(axes))
     weights = np.einsum("na,nb->nab", v, u).reshape(len(probes), terms)
@@ -194,6 +194,21 @@ def overlap_add(
     error = image_error(mixed, wanted, groups)
     cost = _cost(edges, reach, terms)
     return FieldBlur("overlap-add", maps, kernels, index, edges, error, terms, cost, wrong)
+
+
+def _windows(shape, grid, window="quadratic"):
+    """Interpolation along rows and columns, see `overlap_add`."""
+    return [_Window(size, count, window) for size, count in zip(shape, grid, strict=True)]
+
+
+def _cells(axes, shape, reach):
+    """Boundaries of the tiles of windows along both axes, and the number of terms of each. reach: of the kernels."""
+    edges = tuple(
+        np.array([-reach, *np.ceil(one.knots[1:-1]).astype(int), size + reach])
+        for one, size in zip(axes, shape, strict=True)
+    )
+    down, across = (2 if one.cosine else one.degree + 1 for one in axes)
+    return edges, down * across
 
 
 def _window_maps(along_y, along_x):

@@ -58,8 +58,22 @@ def _bytes(value):
 
 
 def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return a @ b, in pieces for which OpenBLAS starts no threads: these would compete with a pool's."""
+    """Return a @ b, in pieces for which OpenBLAS starts no threads: these would compete with a pool's.
+
+    For complex numbers it starts threads even for small products: they are products of real parts.
+    """
     (rows, length), cols = a.shape, b.shape[1]
+    if np.iscomplexobj(a) or np.iscomplexobj(b):
+        every = multiply(_parts(a, 0), _parts(b, 1))
+        real, imaginary = every[:rows, :cols], np.zeros((rows, cols), every.dtype)
+        if np.iscomplexobj(a):
+            imaginary = every[rows:, :cols]
+        if np.iscomplexobj(b):
+            imaginary = imaginary + every[:rows, cols:]
+            real = real - every[rows:, cols:] if np.iscomplexobj(a) else real
+        found = np.empty((rows, cols), np.result_type(a, b))
+        found.real, found.imag = real, imaginary
+        return found
     if rows * length * cols <= UNTHREADED:
         return a @ b
     terms = ceil(length / ceil(length / LONGEST))
@@ -76,3 +90,10 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
             for k in range(terms, length, terms):
                 piece += left[:, k : k + terms] @ right[k : k + terms]
     return out
+
+
+def _parts(values, axis):
+    """Real and imaginary parts along an axis, one after the other; of real numbers these."""
+    if not np.iscomplexobj(values):
+        return values
+    return np.concatenate([values.real, values.imag], axis=axis)

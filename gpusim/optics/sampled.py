@@ -164,7 +164,7 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
     return _irradiance(pupil, half, wave.shape, np.round(wave, 12).tobytes())
 
 
-@remember(2**26)
+@remember(2**27)
 def _irradiance(pupil, half, shape, values):
     wave = np.frombuffer(values).reshape(shape)
     cycles = half * STEP + fastest_turn(wave)
@@ -270,8 +270,13 @@ def _passed_waves(half, q, aperture, spot, soft, farthest):
     x, gauss = _gauss(int(np.ceil(1.7 * (abs(samples[0]) + farthest) / q)) + 16)
     f, gauss = (x + 1) / (2 * q), gauss / (2 * q)
     passed = (2 * gauss * _axis_transfer(f, aperture, spot, soft))[:, None]
-    of = 2 * np.pi * np.outer(f, samples)
-    return f, (np.cos(of) * passed).astype(np.float32), (np.sin(of) * passed).astype(np.float32)
+    # of samples from the middle on: cosines are even, sines odd
+    of = 2 * np.pi * np.outer(f, samples[half:])
+    by_cos, by_sin = np.empty((2, len(f), len(samples)), np.float32)
+    for found, turn, sign in ((by_cos, np.cos, 1), (by_sin, np.sin, -1)):
+        found[:, half:] = turn(of) * passed
+        np.multiply(found[:, :half:-1], np.float32(sign), out=found[:, :half])
+    return f, by_cos, by_sin
 
 
 def _axis_transfer(f, aperture, spot, soft):
@@ -388,7 +393,7 @@ def difference_tables(
         if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
             down = _fold(np.fft.fftfreq(rows), half, *first)
             across = _fold(np.arange(cols // 2 + 1) / cols, half, *second)
-            out[band] = multiply(multiply(down, left.astype(np.complex64)), across.T)
+            out[band] = multiply(multiply(down, left), across.T)
         else:
             down, across = (pixel_shares(size, half, *axis) for axis in (first, second))
             out[band] = _wrap(multiply(down, multiply(left, across.T)), rows, cols)
@@ -431,11 +436,11 @@ def sampled_transfer(pupil: Pupil, wave, sx, sy) -> np.ndarray:
     wave = np.asarray(wave, np.float64)
     half, _ = window(pupil, wave[None])
     focus = irradiance(pupil, np.zeros((1, 1)), half)
-    left = _difference(pupil, wave, half, focus, _fading(half)).astype(np.complex64)
+    left = _difference(pupil, wave, half, focus, _fading(half))
     found = transfer(pupil, np.zeros((1, 1, 1)), sx, sy, error=FAST, fast=True)[0]
     at = np.arange(-half, half + 1) * (-4j * np.pi * STEP)
     inside = np.flatnonzero(np.hypot(sx, sy) < 1)
     for piece in np.array_split(inside, -(-len(inside) // PIECE) or 1):
         down, across = (np.exp(np.outer(s[piece], at)).astype(np.complex64) for s in (sy, sx))
-        found[piece] += np.einsum("fi,fi->f", down @ left, across)
+        found[piece] += np.einsum("fi,fi->f", multiply(down, left), across)
     return found
