@@ -61,16 +61,15 @@ def composite_layers(
         covers = np.stack([coverage, coverage * (confusion - confusion.min())]).astype(np.float32)
         if placing is None:
             terms, covers = choose_terms(space, confusion, coverage), device.array(covers)
-            light = own if np.all(coverage == 1) else falloff(own, covers[:1], device=device)
+            cover = device.part(covers, slice(1))
+            light = own if np.all(coverage == 1) else falloff(own, cover, device=device)
         else:
             terms = choose_terms(space, confusion, coverage, placing.bounds)
             light, covers = placing.place(seen, own, covers)
-        cover = covers[:1]
-        maps = expand(
-            covers, terms.degrees, terms.spans, space.edges, terms.limits, terms.even, device=device
-        )
+            cover = device.part(covers, slice(1))
+        circles = {"spans": terms.spans, "edges": space.edges, "limits": terms.limits}
         inputs = {
-            "coefficients": maps[: len(terms.degrees)],
+            "coefficients": expand(covers, terms.degrees, **circles, device=device),
             "index": terms.index,
             "edges": space.edges,
             "margin": margin,
@@ -87,7 +86,8 @@ def composite_layers(
         if evening is not None:
             alpha = falloff(alpha, evening, device=device)
         if terms.even is not None:
-            alpha = falloff(alpha, _cut(maps[len(terms.degrees) :], margin, device), device=device)
+            gains = expand(covers, terms.degrees[:0], **circles, even=terms.even, device=device)
+            alpha = falloff(alpha, _cut(gains, margin, device), device=device)
         blurred.append(blurred_light)
         alphas.append(alpha)
         sharp.append(sharpen(light, cover, plan, device))
@@ -168,7 +168,7 @@ class _Groups:
         changed = occlude(
             base,
             device.stack([light for light, _ in self._sharp]),
-            device.stack([cover[0] for _, cover in self._sharp]),
+            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
             places,
             members,
             radii,
@@ -296,7 +296,7 @@ class _Placing:
         (of_light, of_cover), shape, device = self._places, self._shape, self._device
         if self._lights is None:
             covers, light = device.array(covers), own
-            light = falloff(light, covers[:1], device=device)
+            light = falloff(light, device.part(covers, slice(1)), device=device)
             light = distort(
                 light, of_light, shape, self._border, "area", self._density, device=device
             )
@@ -316,7 +316,8 @@ class _Placing:
             window=self.bounds.find_window(lit),
             device=device,
         )
-        return placed[: own.shape[0]], placed[own.shape[0] :]
+        count = own.shape[0]
+        return device.part(placed, slice(count)), device.part(placed, slice(count, None))
 
     def _limit(self, seen, own):
         """Return the channels of the picture, and of the layer if it has other light."""
