@@ -139,8 +139,8 @@ class Device:
         """Return copies of arrays of one shape and type as one array with a new first axis."""
         return np.stack(arrays)
 
-    def part(self, array: Any, index: int) -> Any:
-        """Return a copy of `array[index]` on the device."""
+    def part(self, array: Any, index: int | slice) -> Any:
+        """Return a copy of `array[index]` on the device. A slice has a step of 1."""
         return np.array(array[index])
 
     def on_stream(self, stream: Any) -> Any:

@@ -273,9 +273,13 @@ class Taped(Device):
         return result
 
     def part(self, array, index):
-        result = self.empty(array.shape[1:], self._dtype(array))
-        size = int(np.prod(result.shape))
-        self._start_copy(result, array, size, index * size, 0)
+        first, shape = index, array.shape[1:]
+        if isinstance(index, slice):
+            first, last, _ = index.indices(array.shape[0])
+            shape = (last - first, *shape)
+        result = self.empty(shape, self._dtype(array))
+        start = first * int(np.prod(array.shape[1:]))
+        self._start_copy(result, array, int(np.prod(shape)), start, 0)
         return result
 
     @refusable(of_values)

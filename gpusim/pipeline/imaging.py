@@ -25,7 +25,7 @@ from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache
-from gpusim.pipeline.layers import composite_layers
+from gpusim.pipeline.layers import composite_layers, prepare_layers
 from gpusim.pipeline.light import (
     PLAIN_MOSAIC,
     add_far,
@@ -354,9 +354,14 @@ class _Steps:
                     run=make_depth_tables,
                 )
             )
+            layers = f"{self.prefix}layers"
+            constants = {"plan": plan, "device": self.device}
+            places = placed[0] if placed else ""
+            chain.steps.append(Step(layers, "", (places,), constants, run=prepare_layers))
             chain.add(
                 "optics.composite",
                 {"plan": plan, "tables": self.imaging.tables, "border": _border(plan)},
+                layers,
                 *(placed or [""] * len(names)),
                 tables,
                 run=composite_layers,

@@ -1,5 +1,6 @@
 """Layers by depth: each blurred for its distance, and laid over the farther ones."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from gpusim.kernels.optics.reveal import reveal
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan, flatten
-from gpusim.optics.expansion import choose_terms
+from gpusim.optics.expansion import Terms, choose_terms
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.placed import Placed, find_box
 from gpusim.pipeline.reading import planes, store
@@ -24,8 +25,75 @@ from gpusim.planner.choices import Blur, Fusion, Planes
 from gpusim.planner.plan import Plan
 
 
+@dataclass(frozen=True, eq=False)
+class PreparedLayer:
+    """A layer, as far as it does not depend on its light.
+
+    Attributes:
+        shown: Inputs of `optics.reveal`, `index` and `factor`; empty if the layer shows the scene's own samples.
+        covers: Coverage [1], and it times the circles of confusion above the least [pixel], (2, rows, cols).
+        terms: Terms of its kernels.
+        is_whole: Whether it covers all samples.
+        lit: Rows and columns outside of which it covers no sample.
+        window: Rows and columns outside of which it covers no displaced sample.
+    """
+
+    shown: dict
+    covers: Any
+    terms: Terms
+    is_whole: bool
+    lit: tuple[slice, slice]
+    window: tuple[slice, slice]
+
+
+def prepare_layers(places, *, plan: Plan, device) -> tuple[PreparedLayer, ...]:
+    """Return the layers of a plan. places: see `place_layers`; None: nothing is displaced."""
+    depth, space, shape = plan.find(DepthPlan), plan.find(KernelSpace), plan.content.shape
+    assert depth is not None and space is not None
+    placed = None if places is None else Placed(places[2], shape, shape)
+    found = []
+    for layer in range(depth.layers):
+        coverage, confusion = depth.surface(layer)
+        shown = {}
+        if not depth.sheets and (at := depth.shown(layer)) is not None:
+            shown = _find_shown(at, depth.beside(layer), device)
+        covers = np.stack([coverage, coverage * (confusion - confusion.min())]).astype(np.float32)
+        lit = find_box(covers[0])
+        found.append(
+            PreparedLayer(
+                shown,
+                device.array(covers),
+                choose_terms(space, confusion, coverage, placed),
+                bool(np.all(coverage == 1)),
+                lit,
+                lit if placed is None else placed.find_window(lit),
+            )
+        )
+    return tuple(found)
+
+
+def _find_shown(shown, beside, device):
+    """Return inputs of `optics.reveal` for samples (rows, cols), less the light of others: see `DepthPlan.beside`."""
+    shown = shown.ravel()
+    other, factor = (one.ravel() for one in beside or (shown, np.zeros(shown.size, np.float32)))
+    at = np.flatnonzero((shown != np.arange(shown.size)) | (factor != 0))
+    index = np.stack([at, shown[at], other[at]])
+    return {"index": device.array(index, np.int32), "factor": device.array(factor[at])}
+
+
 def composite_layers(
-    planes_, places, lights, zoom, gains, varying, *, plan: Plan, tables: LensTables, border, device
+    planes_,
+    layers,
+    places,
+    lights,
+    zoom,
+    gains,
+    varying,
+    *,
+    plan: Plan,
+    tables: LensTables,
+    border,
+    device,
 ) -> Any:
     """Return channels in which each point is blurred for its distance, with nearer layers over farther ones.
 
@@ -33,8 +101,8 @@ def composite_layers(
     continue outside the frame even if no light comes from there. The lens and a view displace a layer's light, its
     coverage, and its coverage times its circles of confusion, whose quotient is the circle of each displaced sample.
 
-    places: see `place_layers`; None: nothing is displaced. lights, zoom, gains: see `place_planes`. varying: see
-    `make_depth_tables`.
+    layers: see `prepare_layers`. places: see `place_layers`; None: nothing is displaced. lights, zoom, gains: see
+    `place_planes`. varying: see `make_depth_tables`.
     """
     depth, form, made = plan.find(DepthPlan), plan.find(Blur), plan.find(Planes)
     space = plan.find(KernelSpace)
@@ -51,26 +119,21 @@ def composite_layers(
         picture = flatten(plan.scene)[0] if depth.sheets else None
         seen = planes_ if picture is None else planes(device, table, store(device, picture))
     alphas, blurred, sharp = [], [], []
-    for layer in range(depth.layers):
-        coverage, confusion = depth.surface(layer)
-        own = planes_
+    for layer, prepared in enumerate(layers):
+        own, covers, terms = planes_, prepared.covers, prepared.terms
         if depth.sheets and (content := depth.sheets[layer][0]) is not plan.content:
             own = planes(device, table, store(device, content))
-        elif not depth.sheets and (shown := depth.shown(layer)) is not None:
-            own = reveal_layer(planes_, shown, depth.beside(layer), device)
-        covers = np.stack([coverage, coverage * (confusion - confusion.min())]).astype(np.float32)
+        elif prepared.shown:
+            own = reveal(planes_, **prepared.shown, device=device)
         if placing is None:
-            terms, covers = choose_terms(space, confusion, coverage), device.array(covers)
-            light = own if np.all(coverage == 1) else falloff(own, covers[:1], device=device)
+            cover = device.part(covers, slice(1))
+            light = own if prepared.is_whole else falloff(own, cover, device=device)
         else:
-            terms = choose_terms(space, confusion, coverage, placing.bounds)
-            light, covers = placing.place(seen, own, covers)
-        cover = covers[:1]
-        maps = expand(
-            covers, terms.degrees, terms.spans, space.edges, terms.limits, terms.even, device=device
-        )
+            light, covers = placing.place(seen, own, prepared)
+            cover = device.part(covers, slice(1))
+        circles = {"spans": terms.spans, "edges": space.edges, "limits": terms.limits}
         inputs = {
-            "coefficients": maps[: len(terms.degrees)],
+            "coefficients": expand(covers, terms.degrees, **circles, device=device),
             "index": terms.index,
             "edges": space.edges,
             "margin": margin,
@@ -87,7 +150,8 @@ def composite_layers(
         if evening is not None:
             alpha = falloff(alpha, evening, device=device)
         if terms.even is not None:
-            alpha = falloff(alpha, _cut(maps[len(terms.degrees) :], margin, device), device=device)
+            gains = expand(covers, terms.degrees[:0], **circles, even=terms.even, device=device)
+            alpha = falloff(alpha, _cut(gains, margin, device), device=device)
         blurred.append(blurred_light)
         alphas.append(alpha)
         sharp.append(sharpen(light, cover, plan, device))
@@ -98,15 +162,6 @@ def composite_layers(
         return composed
     groups = _Groups(blurred, alphas, sharp, list(depth.groups), plan, border, device)
     return groups.occlude(groups.diffract(composed, tables), tables)
-
-
-def reveal_layer(planes_, shown, beside, device) -> Any:
-    """Return planes of the samples of an index (rows, cols), less the light of others: see `DepthPlan.beside`."""
-    shown = shown.ravel()
-    other, factor = (one.ravel() for one in beside or (shown, np.zeros(shown.size, np.float32)))
-    at = np.flatnonzero((shown != np.arange(shown.size)) | (factor != 0))
-    index = np.stack([at, shown[at], other[at]]).astype(np.int32)
-    return reveal(planes_, index, factor[at], device=device)
 
 
 def _cut(gains, margin, device):
@@ -168,7 +223,7 @@ class _Groups:
         changed = occlude(
             base,
             device.stack([light for light, _ in self._sharp]),
-            device.stack([cover[0] for _, cover in self._sharp]),
+            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
             places,
             members,
             radii,
@@ -274,29 +329,27 @@ class _Placing:
     """Displaces parts of layers and their coverage. See `composite_layers`."""
 
     def __init__(self, places, lights, zoom, gains, shape, border, beyond, device):
-        *self._places, nodes = places
-        self._lights = lights
+        self._places, self._lights = places[:2], lights
         self._evening, self._density = gains, 1.0 if gains is not None else zoom**2
         self._shape, self._border, self._beyond, self._device = shape, border, beyond, device
-        self.bounds, self._gain, self._limits = Placed(nodes, shape, shape), None, None
+        self._gain = self._limits = None
         if lights is None:  # by area: coverage of 1 remains 1
             ones = np.ones((1, *shape), np.float32)
             whole = distort(ones, places[1], shape, beyond, "area", device=device)
             self._gain = device.array(1 / np.asarray(device.numpy(whole)))
 
-    def place(self, seen, own, covers):
+    def place(self, seen, own, prepared):
         """Return planes of a layer's light, and its coverage and what goes with it, displaced.
 
-        seen: planes of the picture without blur. own: of the layer, not yet times its coverage. covers: see
-        `optics.distort`.
+        seen: planes of the picture without blur. own: of the layer, not yet times its coverage.
 
         All samples next to which cubics would fall below 0, of the picture or of the layer, are taken by area. A part
         of a surface falls below 0 at its edges, but their sum does not.
         """
         (of_light, of_cover), shape, device = self._places, self._shape, self._device
         if self._lights is None:
-            covers, light = device.array(covers), own
-            light = falloff(light, covers[:1], device=device)
+            covers = prepared.covers
+            light = falloff(own, device.part(covers, slice(1)), device=device)
             light = distort(
                 light, of_light, shape, self._border, "area", self._density, device=device
             )
@@ -304,19 +357,19 @@ class _Placing:
                 light = falloff(light, self._evening, device=device)
             covers = distort(covers, of_cover, shape, self._beyond, "area", device=device)
             return light, falloff(covers, self._gain, device=device)
-        lit = find_box(covers[0])
         placed = distort(
             own,
             of_light,
             shape,
             self._border,
             light=self._limit(seen, own),
-            cover=covers,
-            lit=lit,
-            window=self.bounds.find_window(lit),
+            cover=prepared.covers,
+            lit=prepared.lit,
+            window=prepared.window,
             device=device,
         )
-        return placed[: own.shape[0]], placed[own.shape[0] :]
+        count = own.shape[0]
+        return device.part(placed, slice(count)), device.part(placed, slice(count, None))
 
     def _limit(self, seen, own):
         """Return the channels of the picture, and of the layer if it has other light."""

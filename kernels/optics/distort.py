@@ -93,9 +93,9 @@ def distort(
     launch("along_columns", lines.shape, nodes, lines, maps, ny, 3 * nx, shape[0])
     grid, sizes = (maps, *shape), (source_rows, source_cols, nx, maps, *shape)
     if method == "area":
-        own = float(density), *warp_only(device, span, BORDERS[border], per_map)
+        numbers = (float(density), *warp_only(device, span, BORDERS[border], per_map))
         own_defines = {**defines, "SPAN": span}
-        launch("area", grid, planes, lines, out, *own, *sizes, defines=own_defines)
+        launch("area", grid, planes, lines, out, *numbers, *sizes, defines=own_defines)
         return out
     numbers = warp_only(device, BORDERS[border], per_map)
     if light is None:

@@ -41,6 +41,7 @@ def expand(
         cover: Coverage of each pixel [1], and it times the circle of confusion above the least
             [pixel], shape (2, rows, cols).
         degrees: Degrees along rows and columns, and of the circle, at most 12, shape (terms, 3).
+            There may be none.
         spans: Middle of the circles of confusion in each tile [pixel], and 1 over half their range,
             shape (tiles, 2).
         edges: Boundaries of the tiles' rows and columns: see `optics.field`.
@@ -93,6 +94,7 @@ def cases():
         (5, 7, 2, 3, 1),
         (33, 65, 3, 12, 3),
         (70, 41, 4, 2, 0),
+        (9, 4, 2, -1, 2),  # only gains
     ):
         edges = [
             np.unique(np.round(np.linspace(-3, n + 3, min(count, n) + 1)).astype(int))
@@ -102,7 +104,8 @@ def cases():
         low, high = -3.0, 5.0
         circle = random.uniform(low, high, (rows, cols))
         alpha = random.random((rows, cols)) * (random.random((rows, cols)) > 0.2)
-        degrees = np.array([(a, b, d) for a in (0, 1) for b in (0, 3) for d in range(most + 1)])
+        degrees = [(a, b, d) for a in (0, 1) for b in (0, 3) for d in range(most + 1)]
+        degrees = np.array(degrees).reshape(-1, 3)
         half = random.uniform(1, 4, tiles)
         half[::3] = np.inf  # one circle
         spans = np.stack([random.uniform(low, high, tiles), 1 / half], axis=1)
