@@ -319,6 +319,7 @@ class Shot:
         number: Its number.
         raw: Its raw values, a device array; None draws them.
         is_timed: Whether the exposure's times count in this frame.
+        single: Raw values of single pixels before digital binning; None draws them if they are asked for.
     """
 
     exposure: Exposure
@@ -326,6 +327,7 @@ class Shot:
     number: int
     raw: Any = None
     is_timed: bool = True
+    single: Any = None
 
     def draw_raw(self) -> Any:
         """Return the raw values, a device array, layers of stacked pixels below each other."""
@@ -344,8 +346,9 @@ class Shot:
     def frame(self) -> Frame:
         """Return the frame with its report."""
         values = self.exposure.values()
+        drawn = {"raw": self.raw, "single": self.single}
         return make_frame(
-            self.exposure, values, self.seed, self.number, is_timed=self.is_timed, raw=self.raw
+            self.exposure, values, self.seed, self.number, is_timed=self.is_timed, **drawn
         )
 
 

@@ -14,7 +14,7 @@ from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
-from gpusim.measure.merge import MARGIN
+from gpusim.measure.merge import full_value
 from gpusim.pipeline.developer import CLIPPED, STANDS_OUT, Developer
 from gpusim.pipeline.exposure import HOT
 from gpusim.pipeline.frame import Frame
@@ -51,8 +51,7 @@ def merge_bracket(
 
     Args:
         simulator: simulator of the camera.
-        frames: 2 to 16 frames of one camera and size, as digital numbers without digital binning,
-            in any order and with any analog gains.
+        frames: 2 to 16 frames of one camera and size, as digital numbers, in any order and with any analog gains.
         full_scale: largest rate that the merged raw values hold [e- s-1]; None is the largest that
             any frame holds.
 
@@ -65,13 +64,12 @@ def merge_bracket(
         are too coarse for them.
 
     Raises:
-        BadData: if the frames do not fit together, are digitally binned, or every pixel is full in
-            all.
+        BadData: if the frames do not fit together, every pixel is full in all, or digital binning
+            hides which are full.
         OutOfRange: if an exposure time or full_scale is out of range.
     """
     frames = _check_frames("merge_bracket", frames, MOST_FRAMES)
-    _check_single_pixels("merge_bracket", simulator)
-    tables = _merge_tables(frames)
+    tables = _merge_tables(frames, simulator.readout.averaged)
     order = np.argsort(
         -(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable"
     )
@@ -92,6 +90,9 @@ def merge_bracket(
     has_photon_noise = sensor.noise.photon != "none"
     with device.timed() as ms:
         raw = _replace_defects(simulator, frames)
+        each = (-1, *[1] * (raw.ndim - 1))
+        ceiling = np.ceil(tables["ceiling"]).astype(raw.dtype).reshape(each)
+        raw = np.where(_find_full("merge_bracket", frames), ceiling, raw)
         rates = []
         for layer in raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1):
             stack = device.array(np.ascontiguousarray(layer), np.uint16)
@@ -237,12 +238,13 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
         time, float32 [e-]; `raw` is the same in 16 bits.
 
     Raises:
-        BadData: if the frames do not fit together, are digitally binned, or their times do not rise.
+        BadData: if the frames do not fit together, their times do not rise, or digital binning hides
+            which pixels are full.
         OutOfRange: if an exposure time is out of range.
     """
     frames = _check_frames("merge_reads", frames, MOST_FRAMES)
-    _check_single_pixels("merge_reads", simulator)
-    tables = _merge_tables(frames)
+    averaged = simulator.readout.averaged
+    tables = _merge_tables(frames, averaged)
     times, sensor = tables["time"], frames[0].camera.sensor
     if (np.diff(times) <= 0).any():
         raise BadData(
@@ -253,11 +255,12 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
         raw = _replace_defects(simulator, frames)
         gain, dark, full = (tables[name][:, None, None] for name in ("gain", "dark", "ceiling"))
         charges = raw.reshape(len(frames), -1, raw.shape[-1])
-        usable = np.logical_and.accumulate(charges < full, axis=0).sum(axis=0)
+        usable = (charges < full) & ~_find_full("merge_reads", frames).reshape(charges.shape)
+        usable = np.logical_and.accumulate(usable, axis=0).sum(axis=0)
         charges = (charges - dark) / gain
         # without the photons' part, which `_slope_weights` adds
-        noise = RawNoise.of(sensor).variance()
-        photons = float(sensor.noise.photon != "none")
+        noise = RawNoise.of(sensor, averaged).variance()
+        photons = float(sensor.noise.photon != "none") / averaged
         rate = np.zeros(charges.shape[1:])
         for count in range(len(frames) + 1):
             here = usable == count
@@ -292,13 +295,20 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
     )
 
 
-def _check_single_pixels(function, simulator):
-    """Raise BadData if digital binning hides which pixels are full."""
-    if simulator.readout.averaged > 1:
-        raise BadData(
-            f"{function}: digital binning hides full pixels; use sensor.binning_mode = "
-            '"charge" or no binning'
-        )
+def _find_full(function, frames):
+    """Return which values are known to have a full pixel among those averaged, bool (frames, ...).
+
+    Raises BadData if it is not known.
+    """
+    found = []
+    for frame in frames:
+        if frame.averaged > 1 and frame.full is None:
+            raise BadData(
+                f"{function}: digital binning hides full pixels, and the frames do not tell; merge frames of a "
+                'simulator, or use sensor.binning_mode = "charge" or no binning'
+            )
+        found.append(np.zeros(frame.raw.shape, bool) if frame.full is None else frame.full)
+    return np.stack(found)
 
 
 def _slope_weights(times, noise, rate):
@@ -424,16 +434,18 @@ def _check_frames(function, frames, most) -> list[Frame]:
     return frames
 
 
-def _merge_tables(frames):
-    """Return the parameters of each frame that `processor.merge` takes."""
+def _merge_tables(frames, averaged):
+    """Return the parameters of each frame that `processor.merge` takes.
+
+    averaged: as for `Developer`. The weights of averaged pixels take the photons' noise of one.
+    """
     rows = []
     for frame in frames:
         sensor, time = frame.camera.sensor, frame.exposure_time
-        noise = RawNoise.of(sensor)
+        noise = RawNoise.of(sensor, averaged)
         gain = sensor.gain_dn_per_electron
         dark = sensor.noise.operating_dark_current * time
-        full = sensor.dark_level + gain * (sensor.full_well - MARGIN * noise.variance() ** 0.5)
-        ceiling = min(full, sensor.white_level)
+        ceiling = full_value(sensor)
         rows.append((sensor.dark_level + gain * dark, gain, time, noise.variance(dark), ceiling))
     return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
 

@@ -52,13 +52,16 @@ class Reads(Capture):
         """Time of the last read [s]."""
         return self.times[-1]
 
-    def raw(self, light: Light, seed: int, first: int) -> tuple[list, np.ndarray]:
+    def raw(
+        self, light: Light, seed: int, first: int, is_averaged: bool = True
+    ) -> tuple[list, np.ndarray]:
         """Return the exposure of each read and the raw values.
 
         Args:
             light: Light of the scene.
             seed: Seed of the noise.
             first: Number of the frame.
+            is_averaged: False returns pixels before digital binning.
 
         Returns:
             The exposures from the reset to each read, and raw values on the host (reads, rows,
@@ -66,7 +69,7 @@ class Reads(Capture):
         """
         readout, device = light.simulator.readout, light.simulator.device
         times = readout.checked_reads(self.times)
-        numbers = {"seed": seed, "first": first}
+        numbers = {"seed": seed, "first": first, "is_averaged": is_averaged}
         if not light.is_moving:
             exposures = [light.expose(seconds=float(time)) for time in times]
             last = exposures[-1]
@@ -98,12 +101,15 @@ class Reads(Capture):
         Returns:
             One for each read.
         """
-        exposures, raw = self.raw(light, seed, first)
-        device = light.simulator.device
-        return [
-            Shot(exposure, seed, first, device.array(np.ascontiguousarray(one), one.dtype))
-            for exposure, one in zip(exposures, raw, strict=True)
-        ]
+        readout, device, shots = light.simulator.readout, light.simulator.device, []
+        exposures, raw = self.raw(light, seed, first, is_averaged=False)
+        for exposure, one in zip(exposures, raw, strict=True):
+            single = None
+            own = device.array(np.ascontiguousarray(one), one.dtype)
+            if readout.averaged > 1:
+                single, own = one, readout.average_pixels(own)
+            shots.append(Shot(exposure, seed, first, own, single=single))
+        return shots
 
     def _merge(self, simulator, frames):
         return merge_reads(simulator, frames)

@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
-from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.short_repr import short_repr
 
 # read noise sigmas below the well that count as full: 1 in 3e6 saturated values passes
@@ -30,6 +30,16 @@ class MergeInputs:
     valid: np.ndarray
 
     __repr__ = short_repr
+
+
+def full_value(sensor: Sensor) -> float:
+    """Return the digital number from which a pixel counts as full: MARGIN below the well, or the converter's end.
+
+    Args:
+        sensor: The sensor as operated.
+    """
+    well = sensor.full_well - MARGIN * RawNoise.of(sensor).variance() ** 0.5
+    return min(sensor.dark_level + sensor.gain_dn_per_electron * well, sensor.white_level)
 
 
 def merge_inputs(frames: Iterable[Any], averaged: int = 1) -> MergeInputs:

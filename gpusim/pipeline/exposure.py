@@ -412,6 +412,7 @@ def make_frame(
     error: Error | None = None,
     is_timed: bool = True,
     raw: Any = None,
+    single: Any = None,
 ) -> Frame:
     """Return one picture of an exposure. Its parts are computed lazily unless a loop rewrites the arrays.
 
@@ -423,12 +424,14 @@ def make_frame(
         error: True error of the mean electrons, if known.
         is_timed: Count the exposure's times in this picture.
         raw: Raw values, a device array with layers of stacked pixels below each other; None draws them.
+        single: Those of single pixels before digital binning; None draws them if they are asked for.
 
     Raises:
         OutOfRange: The seed or the number is not allowed. Other errors are raised when a part is computed.
     """
     check_drawn(seed, number, None, 0)  # now, not when raw values are computed
     shot = _Shot(exposure, values, seed, number, error, is_timed)
+    shot.single = single
     if raw is not None:
         shot.raw = raw
     frame = Frame(
@@ -444,6 +447,7 @@ def make_frame(
         blur=exposure.blur,
         shading=None if exposure.shading is None else np.array(exposure.shading),
         averaged=exposure.simulator.readout.averaged,
+        full=shot if exposure.simulator.readout.averaged > 1 else None,
     )
     return frame.complete() if exposure.is_rewritten else frame
 
@@ -470,6 +474,8 @@ class _Shot(Parts):
         """Return a part of the frame. Its times are added."""
         if name == "labels":
             return self.exposure.labels
+        if name == "full":
+            return self._full()
         if name == "report":
             frame.rendering, frame.mean, frame.raw, frame.linear, frame.rgb  # noqa: B018  for their times
             return self._report(frame.rendering)
@@ -490,6 +496,14 @@ class _Shot(Parts):
             self.ms[stage] = self.ms.get(stage, 0.0) + spent
         self.wall_ms += 1e3 * (time.perf_counter() - start)
         return value
+
+    def _full(self):
+        exposure, single = self.exposure, self.single
+        readout = exposure.simulator.readout
+        if single is None:
+            settings = exposure.exposure_time, exposure.gain, self.seed, self.number
+            single = readout.draw(exposure.chip_mean, *settings, is_averaged=False)
+        return exposure.split_layers(readout.find_full(single, exposure.gain))
 
     def _report(self, rendering):
         """Return the report. All other parts are computed."""

@@ -31,12 +31,17 @@ class Parts:
 class _Made(Generic[T]):
     """A field that also accepts Parts, which compute its value."""
 
+    def __init__(self, *default):
+        self.default = default
+
     def __set_name__(self, owner, name):
         self.name = name
 
     def __get__(self, frame, owner=None) -> T:
-        if frame is None:
-            raise AttributeError(self.name)  # for `dataclass`: the field has no default
+        if frame is None:  # for `dataclass`, which asks for the default
+            if not self.default:
+                raise AttributeError(self.name)
+            return self.default[0]
         value = vars(frame)[self.name]
         if isinstance(value, Parts):
             value = vars(frame)[self.name] = value.compute(self.name, frame)
@@ -67,6 +72,8 @@ class Frame(Pictured):
         shading: Gains of the shading correction at its nodes, if the camera uses them.
         averaged: Number of digital numbers that are averaged to one raw value; None for several merged exposures,
             whose noise does not follow from one gain.
+        full: Raw values of which a pixel was full before it was averaged, bool, the shape of `raw`; None: none is
+            averaged, or it is not known.
     """
 
     camera: Camera
@@ -81,6 +88,7 @@ class Frame(Pictured):
     blur: float = 0.0
     shading: np.ndarray | None = None
     averaged: int | None = 1
+    full: _Made[np.ndarray | None] = _Made(None)
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.rgb, dtype, copy=copy)

@@ -23,6 +23,7 @@ from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.flag import flag
 from gpusim.kernels.sensor.noise import MOST, OUT, noise
 from gpusim.kernels.sensor.pattern import pattern
+from gpusim.measure.merge import full_value
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
@@ -343,6 +344,7 @@ class Readout:
         seed: int = 0,
         first: int = 0,
         frames: int | None = None,
+        is_averaged: bool = True,
     ) -> Any:
         """Return raw values around the electrons that the chip is expected to collect.
 
@@ -353,6 +355,7 @@ class Readout:
             seed: Names the noise.
             first: Number of the frame, or of the first one.
             frames: Number of frames; None draws one without the first axis.
+            is_averaged: False returns pixels before digital binning.
 
         Returns:
             An array of the device, (rows, cols) or (frames, rows, cols): uint16, or float32 without a converter.
@@ -387,6 +390,8 @@ class Readout:
         with recording(drawing.tape):
             raw = noise(*planes, **read.constants, **numbers, frames=frames)
         if self._digital:
+            if not is_averaged:
+                return raw
             if frames is None:
                 return self._bin(raw, average=True)
             each = [device.part(raw, number) for number in range(raw.shape[0])]
@@ -499,6 +504,7 @@ class Readout:
         gain: float = 1.0,
         seed: int = 0,
         first: int = 0,
+        is_averaged: bool = True,
     ) -> np.ndarray:
         """Return raw values of non-destructive reads, which leave the charge in the pixels.
 
@@ -513,6 +519,7 @@ class Readout:
             gain: Analog gain, next to the sensor's [1].
             seed: Seed of the noise.
             first: Number of the frame.
+            is_averaged: False returns pixels before digital binning.
 
         Returns:
             Raw values (reads, rows, cols) [DN].
@@ -577,11 +584,35 @@ class Readout:
                 **numbers,
                 read=number,
             )
-            if self._digital:
+            if self._digital and is_averaged:
                 raw = self._bin(raw, average=True)
             reads.append(np.array(device.numpy(raw)))
             previous = time
         return np.stack(reads)
+
+    def average_pixels(self, raw: Any) -> Any:
+        """Return the means of raw values of digital binning, a device array.
+
+        Args:
+            raw: Raw values of single pixels, a device array.
+
+        Returns:
+            The means.
+        """
+        return self._bin(raw, average=True)
+
+    def find_full(self, raw: Any, gain: float = 1.0) -> np.ndarray:
+        """Return which means of digital binning have a full pixel.
+
+        Args:
+            raw: Raw values of single pixels, an array of the device or of the host.
+            gain: Analog gain, next to the sensor's [1].
+
+        Returns:
+            True where one is full.
+        """
+        full = self.device.numpy(raw) >= full_value(self.sensor_at_gain(gain))
+        return self.device.numpy(self._bin(self.device.array(full.astype(np.float32)))) > 0
 
     def checked_reads(self, times: Sequence[float] | np.ndarray) -> np.ndarray:
         """Return the times of non-destructive reads, checked.

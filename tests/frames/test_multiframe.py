@@ -803,8 +803,9 @@ def test_bad_input_is_refused():
     with pytest.raises(BadData, match="frame 1 is of type str"):
         merge_flash(simulate, frames[0], "flash")
     binned = processed({"binning": (2, 2), "binning_mode": "digital"})
+    blind = gs.bracket(binned, grey(np.full((80, 80), 0.5)), (0, 1))
     with pytest.raises(BadData, match=r'digital binning.*"charge"'):
-        merge_bracket(binned, gs.bracket(binned, grey(np.full((80, 80), 0.5)), (0, 1)))
+        merge_bracket(binned, [dataclasses.replace(frame, full=None) for frame in blind])
     with pytest.raises(OutOfRange, match="falling from frame to frame"):
         merge(
             np.zeros((2, 4, 4), np.uint16),
