@@ -19,6 +19,8 @@ import zlib
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import calibration_texts
+import film_files
 import instrument_files
 import json_mutations
 import mat_mutations
@@ -63,8 +65,9 @@ READERS = (
     "fields",
     "manifest",
     "sheet",
+    "film",
 )
-JSON = READERS[-4:]
+JSON = ("link", "fields", "manifest", "sheet")
 WAVES = np.array([400.0, 500.0, 650.0])
 SUFFIXES = {
     "camera": ".toml",
@@ -81,6 +84,7 @@ SUFFIXES = {
     "array": ".npy",
     "spectra": ".csv",
     "listing": ".txt",
+    "film": ".mkv",
 } | dict.fromkeys(JSON, ".json")  # others read .npz
 READ = {
     "camera": open_camera,
@@ -91,6 +95,7 @@ READ = {
     "planes": lambda path: open_scene(path, wavelengths=WAVES),
     "array": lambda path: open_scene(path, wavelengths=WAVES),
     "spectra": lambda path: open_scene(path, size=(60, 40)),
+    "film": film_files.read_film,
     "link": json_mutations.read_link,
     "fields": json_mutations.read_fields,
     "manifest": json_mutations.read_manifest,
@@ -308,7 +313,7 @@ def good_texts(reader):
     if reader == "curves":
         return [b"wavelength_nm,R,G,B\n400,0.1,0.2,0.3\n550,0.1,0.5,0.3\n700,0.4,0.2,0.1\n"], []
     if reader == "calibration":
-        return CALIBRATIONS, []
+        return CALIBRATIONS + [text.encode() for text in calibration_texts.TEXTS], []
     root = next(folder for folder in Path(__file__).parents if (folder / "README.md").is_file())
     blocks = re.findall(r"```toml\n(.*?)```", (root / "docs" / "cameras.md").read_text(), re.S)
     return (
@@ -348,6 +353,8 @@ class Inputs:
             self.good = INSTRUMENTS[reader]()
         elif reader in JSON:
             self.good = json_mutations.good(reader)
+        elif reader == "film":
+            self.good = film_files.good_films(np.random.default_rng(7))
         elif reader == "profile":
             self.good = [picture_mutations.good_profile(np.random.default_rng(7))]
         elif reader in ("mat", "mat73"):
@@ -364,9 +371,13 @@ class Inputs:
     def make(self, seed, number) -> bytes:
         random = np.random.default_rng((seed, READERS.index(self.reader), number))
         data, other = mutations.pick(random, self.good), mutations.pick(random, self.good)
-        if random.random() < 0.3 and self.reader not in (
-            "fields",
-            "sheet",
+        if self.reader == "film" or (
+            random.random() < 0.3
+            and self.reader
+            not in (
+                "fields",
+                "sheet",
+            )
         ):  # which nobody reads as bytes
             return mutations.damaged(data, other, random)
         if self.arrays:

@@ -473,3 +473,47 @@ def test_notes_of_a_video_are_reported(tmp_path, capsys):
     assert main(["video", str(path), "--camera", "phone", "--device", "numpy", "-o", out]) == 0
     assert "note: turned or mirrored" in capsys.readouterr().out
     assert gs.open_scene(tmp_path / "o_0000.png").shape == (64, 48)
+
+
+def test_frames_before_an_edit_list_are_not_shown(tmp_path):
+    """As by `ffmpeg -ss`: the file keeps them to decode the others. FFmpeg's count of shown frames is the judge."""
+    path = tmp_path / "a.mp4"
+    options = {"avoid_negative_ts": "disabled", "use_editlist": "1"}
+    with av.open(str(path), "w", options=options) as file:
+        stream = file.add_stream("libx264", rate=Fraction(30), options={"bf": "2", "qp": "0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv444p"
+        context = stream.codec_context
+        context.color_primaries, context.color_trc, context.colorspace, context.color_range = TAGS
+        for number in range(20):
+            planes = [np.full((48, 64), value, np.uint8) for value in (40 + 8 * number, 128, 128)]
+            frame = frame_of(planes, "yuv444p", (48, 64))
+            frame.pts, frame.time_base = number - 4, Fraction(1, 30)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode(None))
+    with av.open(str(path)) as file:
+        assert file.streams.video[0].frames == 20
+        shown = sum(1 for _ in file.decode(video=0))
+    film, scene = first(path)
+    assert film.count == shown == 16 == len(list(film.between(0, 16)))
+    assert abs(luma_of(scene.content.codes)[0, 0] - (40 + 8 * 4)) < 0.5
+
+
+@pytest.mark.parametrize(
+    "options", [{"movflags": "frag_keyframe+empty_moov"}, {"movflags": "faststart"}]
+)
+def test_fragmented_and_streamable_files(options, tmp_path):
+    path = tmp_path / "a.mp4"
+    with av.open(str(path), "w", options=options) as file:
+        stream = file.add_stream("libx264", rate=Fraction(24), options={"g": "4"})
+        stream.width, stream.height, stream.pix_fmt = 50, 38, "yuv420p"  # cropped from 64 x 48
+        context = stream.codec_context
+        context.color_primaries, context.color_trc, context.colorspace, context.color_range = TAGS
+        for number in range(12):
+            grey = np.full((38, 50, 3), 60 + number, np.uint8)
+            frame = av.VideoFrame.from_ndarray(grey, format="rgb24")
+            frame.pts, frame.time_base = number, Fraction(1, 24)
+            file.mux(stream.encode(frame))
+        file.mux(stream.encode(None))
+    film, scene = first(path)
+    assert (film.count, film.rate, scene.shape) == (12, 24, (38, 50))
+    assert len(list(film.between(0, 12))) == 12 and film.notes == ()

@@ -29,13 +29,18 @@ def directory(order, start, entries):
     head, tail = b"", b""
     behind = start + 2 + 12 * len(entries) + 4
     for code, (kind, size, letters), values in sorted(entries, key=lambda entry: entry[0]):
-        count = len(values) * size // struct.calcsize(order + letters) // (2 if kind == 5 else 1)
+        count = (
+            len(values) * size // struct.calcsize(order + letters) // (2 if kind in (5, 10) else 1)
+        )
         data = struct.pack(order + letters[0] * len(values), *values)
         if len(data) <= 4:
             value = data.ljust(4, b"\0")
         else:
             value, tail = struct.pack(order + "I", behind + len(tail)), tail + data
-        head += struct.pack(order + "HHI", code, kind, count if kind == 5 else len(values)) + value
+        head += (
+            struct.pack(order + "HHI", code, kind, count if kind in (5, 10) else len(values))
+            + value
+        )
     return struct.pack(order + "H", len(entries)) + head + bytes(4) + tail
 
 
@@ -47,12 +52,15 @@ def dng(
     below=False,
     photometric=32803,
     bits=10,
+    size=(4, 4),
+    tags=(),
+    more=(),
 ):
     """Bytes of a DNG's directories, as the specification has them: raw data below a thumbnail, or alone."""
     raw = [
         (254, LONG, [0]),
-        (256, LONG, [4]),
-        (257, LONG, [4]),
+        (256, LONG, [size[1]]),
+        (257, LONG, [size[0]]),
         (258, SHORT, [bits]),
         (259, SHORT, [1]),
         (262, SHORT, [photometric]),
@@ -63,6 +71,7 @@ def dng(
     for value, kind in black:
         raw.append((50714, kind, [value, 1] if kind is RATIONAL else [value]))
     raw += [(50717, LONG, [white])] if white else []
+    raw += tags
     first = [
         (254, LONG, [1]),
         (256, LONG, [1]),
@@ -74,7 +83,9 @@ def dng(
         (277, SHORT, [1]),
         (279, LONG, [0]),
     ]
-    own = [(50706, BYTE, [1, 4, 0, 0])] + ([(51041, DOUBLE, list(profile))] if profile else [])
+    own = [(50706, BYTE, [1, 4, 0, 0]), *more] + (
+        [(51041, DOUBLE, list(profile))] if profile else []
+    )
     header = (b"II" if order == "<" else b"MM") + struct.pack(order + "HI", 42, 8)
     if not below:
         return header + directory(order, 8, raw + own)
@@ -241,6 +252,113 @@ def test_what_is_no_dng(tmp_path, data, capfd):
     with refused("a.dng", error=BadFile):
         gs.read_noise_profile(saved(tmp_path, data))
     assert capfd.readouterr().err == ""  # of the library that reads it
+
+
+SRATIONAL = (10, 8, "ii")
+
+
+def fractions(values, denominator=10):
+    return [part for value in values for part in (round(value * denominator), denominator)]
+
+
+def profile_of(tmp_path, **change):
+    return gs.read_noise_profile(saved(tmp_path, dng(**change)))
+
+
+def test_deltas_of_the_black_level_by_row_and_column(tmp_path):
+    """Black of a pixel is BlackLevel + DeltaH(column) + DeltaV(row); its mean is computed pixel by pixel."""
+    rows, cols = (250.0, 262.0, 255.0, 257.0), (0.5, -0.5, 0.5, -0.5, 1.0, -1.0)
+    found = profile_of(
+        tmp_path,
+        size=(4, 6),
+        black=((10, SHORT),),
+        white=4056,
+        bits=12,
+        tags=[(50716, SRATIONAL, fractions(rows)), (50715, SRATIONAL, fractions(cols))],
+    )
+    assert found.black_level == np.mean(10 + np.add.outer(rows, cols)) == 266
+    assert found.gain == pytest.approx(1e-4 * (4056 - 266), rel=1e-12)
+    assert any("varies by 14" in note for note in found.notes)
+    flat = profile_of(
+        tmp_path, black=(), white=4056, bits=12, tags=[(50716, SRATIONAL, fractions([256] * 4))]
+    )
+    assert flat.black_level == 256 and flat.gain == pytest.approx(0.38, rel=1e-12)
+    assert flat.notes == ()
+    with refused("BlackLevelDeltaV", "3 numbers, wanted 4", error=BadFile):
+        profile_of(tmp_path, tags=[(50716, SRATIONAL, fractions([256] * 3))])
+
+
+def test_black_levels_by_place_in_the_pattern_and_by_plane(tmp_path):
+    levels = (62, 64, 66, 68)
+    four = [(50713, SHORT, [2, 2]), (50714, SHORT, [*levels])]
+    found = profile_of(tmp_path, black=(), tags=four)
+    assert found.black_level == 65 and any("varies by 6" in note for note in found.notes)
+    with refused("BlackLevel has 4 numbers: wanted 6", error=BadFile):
+        profile_of(tmp_path, black=(), tags=[(50713, SHORT, [3, 2]), four[1]])
+
+
+def test_geometry_and_other_tags_are_noted(tmp_path):
+    found = profile_of(
+        tmp_path,
+        size=(8, 8),
+        tags=[
+            (50829, LONG, [2, 2, 8, 8]),
+            (50830, LONG, [0, 0, 2, 8]),
+            (50719, LONG, [1, 1]),
+            (50720, LONG, [4, 4]),
+            (50712, SHORT, [0, 100, 400, 1023]),
+            (51009, BYTE, [0] * 8),
+        ],
+        more=[(50935, RATIONAL, [6, 10])],
+    )
+    notes = "; ".join(found.notes)
+    for part in ("active area is 6 x 6 of 8 x 8", "MaskedAreas", "DefaultCropSize", "OpcodeList2"):
+        assert part in notes
+    assert "LinearizationTable" in notes and "NoiseReductionApplied" in notes
+    rows = [(50829, LONG, [2, 2, 8, 8]), (50716, SRATIONAL, fractions([1.0] * 6))]
+    assert profile_of(tmp_path, size=(8, 8), tags=rows).black_level == 65
+    with refused("ActiveArea", error=BadFile):
+        profile_of(tmp_path, tags=[(50829, LONG, [2, 2, 2, 8])])
+
+
+def test_demosaicked_data_are_warned_of_and_floats_have_no_rounding(tmp_path):
+    found = profile_of(tmp_path, photometric=34892, bits=16, white=65535)
+    assert any("demosaicked" in note and "not of the sensor" in note for note in found.notes)
+    (tmp_path / "own.toml").write_text(CAMERA.format("", ""))
+    assert gs.open_camera(tmp_path / "own.toml").notes == found.notes
+    values = dict(black=(), white=None, bits=32, profile=(1e-4, 1e-6), tags=[(339, SHORT, [3])])
+    found = profile_of(tmp_path, **values)
+    assert (found.black_level, found.white_level, found.read) == (0, 1, pytest.approx(10))
+    sensor = gs.open_camera(tmp_path / "own.toml").sensor
+    raw = gs.Readout(bare(sensor), "numpy").draw(np.full((200, 200), 2500, np.float32), 0.0, seed=1)
+    # shot noise of 2500 electrons and 10 of reading, in units of 10,000; 5 standard errors
+    assert np.var(raw) == pytest.approx(1e-4 * 0.25 + 1e-6, rel=5 * np.sqrt(2 / 40000))
+
+
+def test_profiles_by_plane_and_files_without_a_raw_picture(tmp_path):
+    pairs = profile_of(tmp_path, profile=(1e-4, 2e-7) * 4)
+    assert any("4 pairs for 3 planes" in note for note in pairs.notes)
+    four = profile_of(tmp_path, profile=(1e-4, 2e-7) * 4, tags=[(50710, BYTE, [0, 1, 2, 3])])
+    assert four.notes == ()
+    with refused("no raw picture", error=BadFile):
+        profile_of(tmp_path, photometric=1)
+
+
+def test_a_file_of_tifffile_with_a_mask_and_a_second_raw_picture(tmp_path):
+    import tifffile
+
+    path = tmp_path / "a.dng"
+    raw = np.zeros((16, 16), np.uint16)
+    tags = [(50714, "I", 1, 64, False), (50717, "I", 1, 1023, False)]
+    profile = [(51041, "d", 2, (1e-4, 2e-7), False)]
+    with tifffile.TiffWriter(path) as file:
+        common = {"metadata": None, "photometric": "cfa"}
+        file.write(raw[:4, :4], subfiletype=1, subifds=2, extratags=profile, **common)
+        file.write(raw, extratags=tags, **common)
+        file.write(raw[:8], extratags=tags, **common)
+    found = gs.read_noise_profile(path)
+    assert (found.black_level, found.white_level) == (64, 1023)
+    assert "the first of 2 raw pictures is used" in found.notes
 
 
 def test_limits_of_profiles():

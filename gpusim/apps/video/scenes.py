@@ -46,7 +46,8 @@ class Scenes(Protocol):
 class Still:
     """One scene in every frame."""
 
-    is_still, rate = True, None
+    is_still = True
+    rate: Fraction | None = None
 
     def __init__(self, scene: Scene, count: int):
         self.scene, self.count, self.names = scene, count, [scene.name]
@@ -59,7 +60,8 @@ class Still:
 class Files:
     """A scene file for every frame. opened: function from a path to its scene."""
 
-    is_still, rate = False, None
+    is_still = False
+    rate: Fraction | None = None
 
     def __init__(self, paths: Sequence[Path], opened: Callable[[Path], Scene]):
         self._paths, self._opened, self.count = list(paths), opened, len(paths)

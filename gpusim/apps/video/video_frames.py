@@ -21,6 +21,7 @@ from gpusim.apps.video.scenes import check_size
 from gpusim.apps.video.shape import Turn, read_matrix, square_size
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadFile
+from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
 from gpusim.io.account import Fields
 from gpusim.io.files import name_in_errors, open_file, reading
@@ -37,6 +38,7 @@ STRICT = {"err_detect": "crccheck+explode"}
 IGNORED = ("SEI_UNREGISTERED", "*TIMECODE", "MOTION_VECTORS", "VIDEO_ENC_PARAMS", "FILM_GRAIN*")
 ROUNDING = Fraction(1, 500)  # [s]; times in Matroska are whole milliseconds
 FASTEST = 10**5  # [frame/s]
+BYTES_PER_PIXEL = 64  # a decoder's references, planes of float32, codes and coefficients
 
 
 class Film:
@@ -75,6 +77,7 @@ class Film:
             notes += more
         with self._reading(), self._av.open(str(path)) as container:
             stream = container.streams[self._number]
+            self._require_memory(stream.codec_context.width, stream.codec_context.height)
             stated = _tags(stream.codec_context)
             frame = next(self._decode_of(container), None)
             if frame is None:
@@ -87,6 +90,7 @@ class Film:
                 {one.type.name: one for one in frame.side_data}, "not used, of its frames"
             )
             self._place(frame, side, aspect, notes)
+            self._require_memory(*self._size)
             self._coding = read_coding(tags, frame.format, frame.width, frame.height, transfer)
         notes += self._coding.notes
         if frame.interlaced_frame:
@@ -101,6 +105,10 @@ class Film:
     def _refuse(self, why: str) -> NoReturn:
         """Raise BadFile."""
         raise BadFile(self.path, why)
+
+    def _require_memory(self, cols, rows):
+        """Raise DoesNotFit for frames that are too large."""
+        require_memory(f"{self.path}: frames of {cols} x {rows}", BYTES_PER_PIXEL * cols * rows)
 
     def _choose(self, container):
         """Return the index of the first stream of pictures. Raises BadFile."""
