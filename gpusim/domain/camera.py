@@ -105,6 +105,11 @@ class Camera(Tabled):
         return apply_changes(self, changes)
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on settings that are not measured as they are used, or implausible; for reports."""
+        return self.sensor.notes
+
+    @property
     def is_developed_at_once(self) -> bool:
         """True if one pass turns raw values into display codes.
 

@@ -560,6 +560,7 @@ class _Shot(Parts):
                 f"the scene's light is unknown: colours are rendered for {processor.target}{white}"
             )
         notes += plan.scene.notes
+        notes += self.exposure.camera.notes
         if plan.planned_for:
             notes.append(
                 f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "
