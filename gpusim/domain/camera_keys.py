@@ -243,6 +243,20 @@ def _wholes(value):
     return tuple(value)
 
 
+def _inverse(value):
+    """Return a gain [DN/e-] from electrons per digital number, [e-/DN]."""
+    number = _number()(value)
+    if not 1e-12 <= number <= 1e12:
+        raise _Wanted("a number 1e-12 .. 1e12, electrons per digital number")
+    return 1 / number
+
+
+def _ends(value):
+    if value != "zero":
+        raise _Wanted('"zero" (no light outside the table), or leave it out')
+    return value
+
+
 def _curve(value):
     return value  # read later, when the folder and the mosaic are known
 
@@ -284,9 +298,11 @@ _SENSOR = {
     "offset": ("offset", _numbers(2)),
     "vignetting": ("vignetting", _map),
     "qe": ("qe", _curve),
+    "sensitivity": ("sensitivity", _curve),
+    "sensitivity_peak": ("sensitivity_peak", _number()),
     "photodetector": ("photodetector_curve", _curve),
     "ir_cut": ("ir_cut", _curve),
-    "qe_ends": ("qe_ends", _text),
+    "qe_ends": ("qe_ends", _ends),
     "exposure_time_ms": ("exposure_time", _number_or_auto(_MILLI)),
     "auto_exposure": ("auto_exposure", _auto_exposure),
     "row_time_us": ("row_time", _number(MICRO)),
@@ -296,6 +312,7 @@ _SENSOR = {
     "bits": ("bits", _whole),
     "black_level_dn": ("black_level", _whole),
     "gain_dn_per_e": ("gain", _number_or_auto()),
+    "gain_e_per_dn": ("gain", _inverse),
     "conversion_gain_uv_per_e": ("conversion_gain", _number(MICRO)),
     "adc_range_v": ("adc_range", _number()),
     "analog_offset_e": ("analog_offset", _number()),
@@ -326,7 +343,12 @@ _DISPLAY = {
     "luminance_cd_per_m2": ("luminance", _number()),
 }
 # required fields, and the field that may replace each
-INSTEAD = {"focal_length": "calibration", "full_well": "profile", "bits": "profile"}
+INSTEAD = {
+    "focal_length": "calibration",
+    "full_well": "profile",
+    "bits": "profile",
+    "qe": "sensitivity",
+}
 SPOKEN = {"diopters": "defocus"}  # fields that messages of the domain call by another name
 _PLAIN = {float: _number(), int: _whole, bool: _yes_no, str: _text}
 
@@ -379,6 +401,9 @@ def section_fields(path, table, section, cls=None):
                 path, f"unknown key {format_value(key)} in [{section}]{_near_key(key, section)}"
             )
         field, read = known[key]
+        if field in fields:
+            both = " and ".join(other for other in given if known.get(other, ("",))[0] == field)
+            raise BadFile(path, f"[{section}] {both}: wanted one of them")
         try:
             fields[field] = value_of(f"[{section}] {key}", read, value)
         except (BadData, UnknownName) as error:

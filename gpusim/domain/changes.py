@@ -1,38 +1,48 @@
 """Change settings of a camera with the keys of camera files: `Camera.with_`."""
 
-import dataclasses
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.camera_keys import SECTIONS, value_of
+from gpusim.domain.camera_keys import MICRO, SECTIONS, value_of
 from gpusim.domain.distortion import Distortion
-from gpusim.domain.errors import BadData, UnknownName, format_value
+from gpusim.domain.errors import BadData, BadFile, UnknownName
 from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.filters import Filters
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.noise import reset_noise
+from gpusim.domain.processor import fit_to_mosaic
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 
-# Fields that camera files give as tables or file names. In Python they are the objects themselves.
+# Fields that camera files give as tables or file names. In Python they may be the objects.
 OBJECTS = {
     "transmission": Spectrum,
     "defocus": Spectrum,
     "lateral_color": Spectrum,
     "qe": Spectrum,
+    "sensitivity": Spectrum,
+    "photodetector_curve": Spectrum,
+    "ir_cut": Spectrum,
     "pupil": Pupil,
     "psf": PointSpread,
     "distortion": Distortion,
+    "calibration": Distortion,
     "microlens": Microlens,
     "auto_exposure": AutoExposure,
     "table": FilterTable,
 }
-READ = {"qe", "psf", "table"}  # fields that a camera file gives by a name
+NONE = ("psf", "distortion", "microlens", "table")  # fields that None resets
 WAVEFRONT = {"zernike", "heights", "seidel", "reference"}
-# Factors of the quantum efficiency; a camera keeps only their product.
-IN_QE = ("photodetector", "ir_cut", "qe_ends")
-IN_FILES = ("calibration", "noise_profile")  # keys that name a file of several settings
+# Fields that a noise profile replaces
+GAINS = {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}
+READS = {"read", "reset", "adc", "row", "column"}
+# Parts of the quantum efficiency; a camera keeps their curves, and the product
+PARTS = ("photodetector_curve", "ir_cut", "qe_ends", "sensitivity_peak")
+HERE = Path("camera.toml")  # files are named from the current folder
 WHOLE = ("optics", "sensor", "processor", "display")
 
 
@@ -45,20 +55,28 @@ def apply_changes(camera, changes: dict):
             continue
         section, name = _place(key)
         field, read = SECTIONS[section][name]
-        parts.setdefault(section, {})[field] = _value(key, name, field, read, value)
+        fields = parts.setdefault(section, {})
+        if field in fields:
+            raise BadData(f"{key}: another key sets the same; wanted one of them")
+        fields[field] = _value(key, field, read, value)
     made = parts.pop("camera", {})
     noise = parts.pop("noise", {})
     if noise:
         parts.setdefault("sensor", {})
+    change = {"optics": _lens, "display": _display}
+    if "sensor" in parts:
+        own = made.get("sensor", camera.sensor)
+        made["sensor"] = _sensor(own, parts.pop("sensor"), noise)
+        if "processor" not in made:
+            parts.setdefault("processor", {})
+    if "processor" in parts:
+        before = replace(camera, processor=made.get("processor", camera.processor))
+        made["processor"] = _processor(
+            before, parts.pop("processor"), made.get("sensor", camera.sensor)
+        )
     for section, fields in parts.items():
-        own = made.get(section, getattr(camera, section))
-        if section == "optics":
-            made[section] = _lens(own, fields)
-        elif section == "sensor":
-            made[section] = _sensor(own, fields, noise)
-        else:
-            made[section] = dataclasses.replace(own, **fields)
-    return dataclasses.replace(camera, **made)
+        made[section] = change[section](made.get(section, getattr(camera, section)), fields)
+    return replace(camera, **made)
 
 
 def _place(key):
@@ -91,26 +109,55 @@ def _whole(camera, key, value):
     return value
 
 
-def _value(key, name, field, read, value):
-    """Return the value of a field, read as in a camera file or passed as the object itself."""
-    if name in IN_QE:
-        raise BadData(
-            f"{key}: a camera keeps it as a factor of qe; set qe, a Spectrum with all factors"
-        )
-    if name in IN_FILES:
-        raise BadData(f"{key}: only camera files read it; set the values that its file holds")
+def _value(key, field, read, value):
+    """Return the value of a field: the object itself, or what a camera file's value stands for."""
     kind = OBJECTS.get(field)
     if kind and isinstance(value, kind):
         return value
-    if value is None and field in ("psf", "distortion", "microlens", "table"):
+    if value is None and field in NONE:
         return None
-    if field in READ:
-        raise BadData(
-            f"{key} = {format_value(value)}: wanted a {kind.__name__}, which a camera file names"
-        )
-    if kind is Spectrum and isinstance(value, dict | str):
-        raise BadData(f"{key} = {format_value(value)}: wanted a number or a Spectrum")
-    return value_of(key, read, _plain(value))
+    given = value_of(key, read, _plain(value))
+    try:
+        return _read(key, field, given)
+    except BadFile as error:  # the reader of camera files names a file; there is none here
+        why = error.details.replace(f"{HERE}: ", "").removeprefix(f"{key}: ")
+        raise BadData(f"{key}: {why}") from None
+
+
+def _read(key, field, given):
+    """Return what a name, a file or a table stands for; other values stay."""
+    from gpusim.data.lights import illuminant
+    from gpusim.data.reflectances import reflectances
+    from gpusim.io.camera import cameras
+
+    if field == "target":
+        illuminant(given)
+    if field == "training":
+        reflectances(given)
+    if given is None or isinstance(given, float | int | tuple):
+        return given
+    if field in ("qe", "sensitivity"):
+        return cameras.read_curves(HERE, key, given, field == "qe")
+    if field in ("photodetector_curve", "ir_cut"):
+        return None if given == "none" else cameras.read_curve(HERE, key, given)
+    if field in ("transmission", "defocus", "lateral_color"):
+        found = cameras.read_curve(HERE, key, given, field == "transmission")
+        return replace(found, values=found.values / MICRO) if field == "defocus" else found
+    if field == "calibration" and isinstance(given, dict):
+        return read_calibration_of(given)
+    readers = {
+        "psf": cameras.read_psf,
+        "table": cameras.read_table,
+        "profile": cameras.read_noise_profile,
+    }
+    return readers[field](Path(given)) if field in readers else given
+
+
+def read_calibration_of(given):
+    """Return the Calibration of a file {"file": path, "camera": name}."""
+    from gpusim.io.camera.cameras import read_calibration
+
+    return read_calibration(Path(given["file"]), given.get("camera"))
 
 
 def _plain(value):
@@ -125,26 +172,98 @@ def _plain(value):
 def _lens(optics, fields):
     if "diopters" in fields and "defocus" in fields:
         raise BadData("defocus_um and defocus_diopters: wanted one of them")
+    if "calibration" in fields:
+        if "distortion" in fields:
+            raise BadData("calibration and distortion: wanted one of them")
+        fields["distortion"] = fields.pop("calibration")
     diopters = fields.pop("diopters", None)
     wavefront = {key: fields.pop(key) for key in WAVEFRONT & fields.keys()}
     if wavefront:
-        fields["wavefront"] = dataclasses.replace(optics.wavefront, **wavefront)
+        fields["wavefront"] = replace(optics.wavefront, **wavefront)
     if fields.get("psf") is not None:
         fields.setdefault("model", "measured")
-    optics = dataclasses.replace(optics, **fields)
-    return (
-        optics
-        if diopters is None
-        else dataclasses.replace(optics, defocus=optics.displacement(diopters))
-    )
+    optics = replace(optics, **fields)
+    return optics if diopters is None else replace(optics, defocus=optics.displacement(diopters))
 
 
 def _sensor(sensor, fields, noise):
+    if "profile" in fields:
+        profile = fields.pop("profile")
+        own = (profile.fields.keys() | GAINS) & fields.keys() | READS & noise.keys()
+        if own:
+            raise BadData(f"noise_profile and {', '.join(sorted(own))}: wanted one or the other")
+        sensor = profile.apply_to(sensor)
+    _apply_curves(sensor, fields)
     if noise.get("reset") == "kTC":
         gain = fields.get("conversion_gain", sensor.conversion_gain)
         if gain is None:
             raise BadData('reset_e = "kTC" needs conversion_gain_uv_per_e and adc_range_v')
         noise["reset"] = reset_noise(gain, noise.get("temperature", sensor.noise.temperature))
     if noise:
-        fields["noise"] = dataclasses.replace(sensor.noise, **noise)
-    return dataclasses.replace(sensor, **fields)
+        fields["noise"] = replace(sensor.noise, **noise)
+    return replace(sensor, **fields)
+
+
+def _apply_curves(sensor, fields):
+    """Turn changes of curves and mosaic into the product `qe`, with its channels."""
+    parts = {key: fields.pop(key) for key in PARTS if key in fields}
+    table = {key: fields.pop(key) for key in ("qe", "sensitivity") if key in fields}
+    if len(table) > 1:
+        raise BadData("qe and sensitivity: wanted one of them")
+    filters, name = sensor.filters, next(iter(table), "")
+    if name and isinstance(table[name], Spectrum):
+        if parts:
+            raise BadData(f"{name}, a Spectrum of all factors, and {', '.join(parts)}: wanted one")
+        found = table[name]
+        if name == "sensitivity":
+            found = found.scale(1 / max(1.0, float(found.values.max())))
+        fields |= {"qe": found, "filters": None}
+        return
+    if name:
+        spectrum, letters = table[name]
+        old = filters if filters is not None and name == "qe" and not filters.is_whole else None
+        filters = Filters(
+            spectrum,
+            letters,
+            old and old.photodetector,
+            old and old.ir_cut,
+            filters and filters.ends,
+            name == "sensitivity",
+        )
+    if not (parts or name or ("cfa" in fields and filters is not None)):
+        return
+    if filters is None:
+        raise BadData(
+            f"{', '.join(parts)}: the camera's curves are known as a product only; set qe, a Spectrum with all factors"
+        )
+    given = [key for key in ("photodetector_curve", "ir_cut") if parts.get(key) is not None]
+    if given and filters.is_whole:
+        raise BadData(f"sensitivity and {given[0]}: wanted one of them; sensitivity has them all")
+    if "sensitivity_peak" in parts and not filters.is_whole:
+        raise BadData("sensitivity_peak: for a sensitivity only")
+    names = {"photodetector_curve": "photodetector", "qe_ends": "ends", "sensitivity_peak": "peak"}
+    filters = replace(filters, **{names.get(key, key): part for key, part in parts.items()})
+    qe, channels = filters.of(fields.get("cfa", sensor.cfa))
+    fields |= {"qe": qe, "channels": channels, "filters": filters}
+
+
+def _processor(camera, fields, sensor):
+    """Return the processor with changes, and those that another mosaic needs."""
+    own, processor = camera.sensor, camera.processor
+    if sensor.cfa != own.cfa:
+        known = {key: getattr(processor, key) for key in ("demosaic", "color", "white_balance")}
+        free = known.keys() - fields.keys()
+        fields = fit_to_mosaic(sensor.cfa, own.cfa, sensor.stacked, known, free) | fields
+    return replace(processor, **fields)
+
+
+def _display(display, fields):
+    """Return the display with changes, or another one by its name."""
+    from gpusim.data.displays import display_names, open_display
+
+    if fields.get("name") not in display_names():
+        return replace(display, **fields)
+    if len(fields) > 1:
+        others = ", ".join(fields.keys() - {"name"})
+        raise BadData(f"display.name = {fields['name']!r} is a known display; leave out {others}")
+    return open_display(fields["name"])

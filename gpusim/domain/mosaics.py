@@ -58,6 +58,14 @@ def mosaic(name: str) -> tuple[str, ...]:
     return MOSAICS[name]
 
 
+def bayer_phase(cfa) -> tuple[int, int] | None:
+    """Return row and column of the red pixel in a Bayer period; None if the rows are not Bayer's."""
+    if len(cfa) != 2 or sorted("".join(cfa)) != ["B", "G", "G", "R"]:
+        return None
+    row, col = divmod("".join(cfa).index("R"), 2)
+    return (row, col) if cfa[1 - row][1 - col] == "B" else None
+
+
 def bin_mosaic(
     cfa_indices: np.ndarray, binning: tuple[int, int]
 ) -> tuple[tuple[int, int], np.ndarray]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, Interval, Limits, OutOfRange, check_fields, check_known
 from gpusim.domain.learned import FilterTable
+from gpusim.domain.mosaics import bayer_phase
 from gpusim.domain.short_repr import short_repr
 
 DEFECTS = ("none", "known", "detect")
@@ -42,6 +43,34 @@ LIMITS = {
     "denoise": Limits("0 (none) .. 4", Interval(0, 4)),
 }
 BRIGHTEST = 1e3  # largest input of a tone curve, encoded
+
+
+def fit_to_mosaic(cfa, before, is_stacked: bool, known: dict, free: set) -> dict:
+    """Return settings of the processor that must change for a mosaic that replaces another.
+
+    Args:
+        cfa: Rows of the mosaic.
+        before: Rows of the mosaic that it replaces.
+        is_stacked: Whether every pixel has all channels.
+        known: Settings demosaic, color, white_balance and table, as far as they are not the default.
+        free: Names of those that may change.
+
+    Returns:
+        New settings by name.
+    """
+    letters, old = set("".join(cfa)), set("".join(before))
+    changes = {}
+    demosaic, color = known.get("demosaic", "bilinear"), known.get("color", "white-preserving")
+    is_bayer = bayer_phase(cfa) is not None
+    if not (is_bayer or is_stacked or len(letters) < 2) and demosaic not in ("bilinear", "learned"):
+        changes["demosaic"] = "bilinear"
+    if len(letters) < 3 and color != "none":
+        changes["color"] = "none"
+    elif len(letters) >= 3 > len(old) and color == "none":
+        changes["color"] = "white-preserving"
+    if known.get("white_balance") == "red-blue" and not {*"RB"} <= letters:
+        changes["white_balance"] = "illuminant"
+    return {key: value for key, value in changes.items() if key in free}
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,14 @@ from gpusim.domain.errors import (
     within,
 )
 from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.filters import Filters
+from gpusim.domain.mosaics import bayer_phase
 from gpusim.domain.noise import Noise
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum, is_increasing
 
 FLOAT_BITS = 32  # value of `bits` for raw values without a converter
+IMPLAUSIBLE = 30.0  # times the converter's range, or a part of it: a full well that is a wrong gain
 LONGEST_PERIOD = 8  # rows and columns of the mosaic that the kernels' tables hold
 
 # Limits of fields. The square of 1e12 electrons, seconds or gains is far from float32's limit.
@@ -142,6 +145,8 @@ class Sensor:
         analog_offset: Electrons added before the converter [e-].
         black_level: Digital number of a dark pixel [DN].
         noise: Noise of the sensor.
+        filters: Curves of the parts that `qe` is the product of, by letter, if a camera file gave
+            them: `Camera.with_(cfa=...)` takes channels from them.
 
     Raises:
         BadData: Settings have the wrong type or shape, or exclude each other.
@@ -174,6 +179,9 @@ class Sensor:
     analog_offset: float = 0.0
     black_level: int = 0
     noise: Noise = field(default_factory=Noise)
+    filters: Filters | None = field(
+        default=None, repr=False, compare=False, metadata={"digest": False}
+    )
 
     __repr__ = short_repr
 
@@ -319,6 +327,27 @@ class Sensor:
         return gain * self.analog_gain
 
     @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on curves that were not measured as they are used, and on an implausible gain."""
+        notes = self.filters.notes(self.channels) if self.filters is not None else ()
+        full, gain = self.white_level - self.black_level, self.gain_dn_per_electron
+        reach = self.full_well * gain / full
+        if self.bits == FLOAT_BITS or 1 / IMPLAUSIBLE <= reach <= IMPLAUSIBLE:
+            return notes
+        unit = "gain_dn_per_e" if self.conversion_gain is None else "conversion_gain_uv_per_e"
+        return (
+            *notes,
+            f"gain {gain:.4g} DN/e- ({unit}): a full well of {self.full_well:g} e- is {reach:.3g} times the "
+            f"converter's {full} DN"
+            + (
+                f"; if {self.gain:.6g} is e-/DN, write gain_e_per_dn = {self.gain:.6g} in place of "
+                f"gain_dn_per_e, or the other way round"
+                if self.gain is not None
+                else ""
+            ),
+        )
+
+    @property
     def dark_level(self) -> float:
         """Mean digital number without light and dark current [DN]: black level and offset."""
         return self.black_level + self.gain_dn_per_electron * self.analog_offset
@@ -360,10 +389,7 @@ class Sensor:
     @property
     def bayer_phase(self) -> tuple[int, int] | None:
         """Row and column of the red pixel in a Bayer period (0 or 1 each); None if not Bayer."""
-        if len(self.cfa) != 2 or sorted("".join(self.cfa)) != ["B", "G", "G", "R"]:
-            return None
-        row, col = divmod("".join(self.cfa).index("R"), 2)
-        return (row, col) if self.cfa[1 - row][1 - col] == "B" else None
+        return bayer_phase(self.cfa)
 
     @property
     def aperture(self) -> tuple[float, float]:

@@ -573,7 +573,8 @@ class _Shot(Parts):
             notes.append(
                 f"the scene's light is unknown: colours are rendered for {processor.target}{white}"
             )
-        notes += (*plan.scene.notes, *self.exposure.camera.notes)
+        camera = self.exposure.camera
+        notes += (*plan.scene.notes, *camera.notes, *camera.sensor.notes)
         if plan.planned_for:
             notes.append(
                 f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "

@@ -887,7 +887,7 @@ def test_efficiency_from_csv(tmp_path):
         (
             "bits = 10",
             "bits = 10\ncfa = 'mono'",
-            r"\[sensor\] qe has no curve for Y; it has R, G, B, W",
+            "colour needs at least 3",
         ),
         (
             "bits = 10",
@@ -998,8 +998,8 @@ def test_efficiency_from_csv(tmp_path):
         ),
         (
             "bits = 10",
-            "bits = 10\ncfa = ['RG', 'GC']",
-            r"\[sensor\] qe has no curve for C; it has R, G, B, W",
+            "bits = 10\ncfa = ['RG', 'GX']",
+            r"\[sensor\] qe has no curve for X; it has R, G, B, W",
         ),
         ("bits = 10", "bits = 10\ncfa = ['RG', 'B']", r"sensor\.cfa"),
         ("bits = 10", "bits = 10\ncfa = []", r"\[sensor\] cfa = \[\]"),

@@ -31,9 +31,11 @@ from gpusim.domain.errors import (
     near,
     one_line,
 )
+from gpusim.domain.filters import Filters
+from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.noise import Noise, reset_noise
 from gpusim.domain.optics import Optics
-from gpusim.domain.processor import Processor
+from gpusim.domain.processor import Processor, fit_to_mosaic
 from gpusim.domain.pupil import Wavefront
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
@@ -53,7 +55,26 @@ from gpusim.io.files import name_in_errors, read_cells, read_text, reading
 
 _FOLDER = Path(str(resources.files("gpusim.data")), "cameras")
 BASE = "phone"  # camera of an empty file
-DEFOCUS = ("defocus_um", "defocus_diopters")  # keys of [optics] that exclude each other
+# Keys that exclude each other: a key of a file removes these of its base
+REPLACED = {
+    "optics": {
+        "defocus_um": ("defocus_diopters",),
+        "defocus_diopters": ("defocus_um",),
+        "distortion": ("calibration",),
+        "calibration": ("distortion",),
+    },
+    "sensor": {
+        "qe": ("sensitivity", "sensitivity_peak"),
+        "sensitivity": ("qe", "photodetector", "ir_cut", "sensitivity_peak"),
+        "gain_dn_per_e": ("gain_e_per_dn",),
+        "gain_e_per_dn": ("gain_dn_per_e",),
+        "noise_profile": (
+            *("full_well_e", "bits", "black_level_dn", "gain_dn_per_e", "gain_e_per_dn"),
+            *("conversion_gain_uv_per_e", "adc_range_v", "analog_gain", "analog_offset_e"),
+        ),
+    },
+}
+READS = ("read_e", "reset_e", "adc_dn", "row_e", "column_e")  # keys of [noise] of a noise profile
 LONGEST_TABLE = 4 * 2**20  # [byte] of a CSV file: 100,000 wavelengths
 LONGEST_INTEGER = 2**64  # above all whole numbers of a camera file; seeds are below
 # A key of more than 16 parts, a.b.c ...: tomllib's time grows with the square of their number.
@@ -117,8 +138,44 @@ def camera_table(name_or_path) -> tuple[Path, dict]:
     (path, table), *bases = _chain(name_or_path)
     name = table.pop("name", path.stem)
     for file, below in bases:
+        own, is_new = table.get("processor", {}), "cfa" in _section(table, "sensor")
+        base = _section(below, "sensor")
         table = _merge_keys(anchor_paths(file, below), table)
+        if is_new and "cfa" in base:
+            table = _fit_processor(table, own, base["cfa"])
     return path, {**table, "name": name}
+
+
+def _section(table, name):
+    """Return the keys of a section; {} if there are none, or it is no section."""
+    return table.get(name) if isinstance(table.get(name), dict) else {}
+
+
+def _fit_processor(table, own, before):
+    """Return a table whose processor fits a mosaic that replaces its base's.
+
+    own: keys of [processor] that come with the mosaic, and stay. before: the base's mosaic.
+    """
+    rows, old = (_rows(value) for value in (table["sensor"]["cfa"], before))
+    processor = _section(table, "processor")
+    if not rows or not old or not isinstance(own, dict) or table.get("processor", {}) != processor:
+        return table
+    known = {
+        key: value
+        for key, value in processor.items()
+        if key in ("demosaic", "color", "white_balance", "table")
+    }
+    free = {"demosaic", "color", "white_balance"} - own.keys()
+    is_stacked = table["sensor"].get("stacked") is True
+    return {**table, "processor": processor | fit_to_mosaic(rows, old, is_stacked, known, free)}
+
+
+def _rows(cfa):
+    """Return the rows of a mosaic of a camera file, () if it is none."""
+    if isinstance(cfa, str):
+        return MOSAICS.get(cfa, ())
+    is_rows = isinstance(cfa, list) and all(isinstance(row, str) and row for row in cfa)
+    return tuple(cfa) if is_rows else ()
 
 
 def _chain(name_or_path):
@@ -161,10 +218,13 @@ def _anchor(path, value):
 def _merge_keys(below, table):
     """Return a base's table with the keys of `table` replaced, section by section."""
     merged = copy.deepcopy(below)
+    if "noise_profile" in _section(table, "sensor"):
+        for key in READS:
+            _section(merged, "noise").pop(key, None)
     for section, keys in table.items():
         if isinstance(keys, dict) and isinstance(merged.get(section), dict):
-            for one, other in (DEFOCUS, DEFOCUS[::-1]):
-                if section == "optics" and one in keys:
+            for key in keys:
+                for other in REPLACED.get(section, {}).get(key, ()):
                     merged[section].pop(other, None)
             merged[section] |= keys
         else:
@@ -236,9 +296,10 @@ def _camera(path, table):
     optics = section_fields(path, table, "optics", Optics)
     sensor = section_fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
-        optics["transmission"] = _single(path, "[optics] transmission", optics["transmission"])
+        optics["transmission"] = read_curve(path, "[optics] transmission", optics["transmission"])
     optics = _lens(path, _apply_calibration(path, optics, sensor))
-    sensor["qe"], sensor["channels"] = _efficiency(path, sensor)
+    filters = sensor["filters"] = _efficiency(path, sensor)
+    sensor["qe"], sensor["channels"] = filters.of(sensor.get("cfa", Sensor.cfa))
     noise = section_fields(path, table, "noise")
     notes = getattr(optics.distortion, "notes", ())
     if "profile" in sensor:
@@ -338,7 +399,7 @@ def _lens(path, fields):
         raise BadFile(path, "[optics] defocus_um and defocus_diopters: wanted one of them")
     defocus = fields.get("defocus", 0.0)
     if not isinstance(defocus, float):
-        table = _single(path, "[optics] defocus_um", defocus, has_shares=False)
+        table = read_curve(path, "[optics] defocus_um", defocus, has_shares=False)
         fields["defocus"] = Spectrum(table.wavelengths, table.values / MICRO, table.name)
     aberrations = {
         key: fields.pop(key)
@@ -346,7 +407,7 @@ def _lens(path, fields):
         if key in fields
     }
     if not isinstance(fields.get("lateral_color", 0.0), float):
-        fields["lateral_color"] = _single(
+        fields["lateral_color"] = read_curve(
             path, "[optics] lateral_color", fields["lateral_color"], has_shares=False
         )
     if "psf" in fields:
@@ -360,61 +421,42 @@ def _lens(path, fields):
 
 
 def _efficiency(path, sensor):
-    """Return filter x photodetector x infrared cut, and its letters; remove them from `sensor`.
+    """Return the curves of a sensor's parts; remove them from `sensor`.
 
-    Only curves of letters in the mosaic are kept: red, green and blue first, then in the order of
-    the table.
+    A measured sensitivity replaces quantum efficiency, photodetector and infrared cut.
     """
-    spectrum, letters = _curves(path, "[sensor] qe", sensor.pop("qe"))
-    used = set("".join(sensor.get("cfa", Sensor.cfa)))
-    if not used <= set(letters):
-        missing = ", ".join(sorted(used - set(letters)))
-        known = ", ".join(letters) or "one without a letter"
-        raise BadFile(path, f"[sensor] qe has no curve for {missing}; it has {known}")
-    channels = tuple(sorted(used, key=("RGB" + "".join(letters)).index))
-    rows = [letters.index(letter) for letter in channels]
-    product = Spectrum(spectrum.wavelengths, spectrum.values[rows], spectrum.name)
+    is_whole = "sensitivity" in sensor
+    if is_whole == ("qe" in sensor):
+        why = "[sensor] qe and sensitivity: wanted one of them"
+        raise BadFile(path, why if is_whole else "[sensor] lacks qe, or sensitivity in its place")
+    name = "sensitivity" if is_whole else "qe"
+    has_shares = not is_whole  # a relative sensitivity has any scale
+    table, letters = read_curves(path, f"[sensor] {name}", sensor.pop(name), has_shares)
+    parts = {}
     for key, field in (("photodetector", "photodetector_curve"), ("ir_cut", "ir_cut")):
-        if field in sensor:
-            product = _product(path, product, _single(path, f"[sensor] {key}", sensor.pop(field)))
-    ends = sensor.pop("qe_ends", None)
-    if ends == "zero":
-        low, high = product.wavelengths[0], product.wavelengths[-1]
-        nodes = np.concatenate([[0.1 * low, low - 1], product.wavelengths, [high + 1, 10 * high]])
-        product = Spectrum(nodes, np.pad(product.values, ((0, 0), (2, 2))), product.name)
-    elif ends is not None:
-        raise BadFile(
-            path,
-            f'[sensor] qe_ends = {format_value(ends)}: wanted "zero" (no light outside the table) or '
-            "leave it out",
-        )
-    return product, channels
+        value = sensor.pop(field, "none")
+        if value != "none":
+            if is_whole:
+                why = (
+                    f"[sensor] sensitivity and {key}: wanted one of them; sensitivity has them all"
+                )
+                raise BadFile(path, why)
+            parts[key] = read_curve(path, f"[sensor] {key}", value)
+    ends, peak = sensor.pop("qe_ends", None), sensor.pop("sensitivity_peak", None)
+    if peak is not None and not is_whole:
+        raise BadFile(path, "[sensor] sensitivity_peak: for a sensitivity only")
+    return Filters(table, letters, **parts, ends=ends, is_whole=is_whole, peak=peak)
 
 
-def _product(path, first, second):
-    """Return the product of two tables at the nodes of both in their common range.
-
-    `first` may hold several functions.
-    """
-    nodes = np.union1d(first.wavelengths, second.wavelengths)
-    low = max(first.wavelengths[0], second.wavelengths[0])
-    high = min(first.wavelengths[-1], second.wavelengths[-1])
-    nodes = nodes[(nodes >= low) & (nodes <= high)]
-    if len(nodes) < 2:
-        why = f"[sensor] {first.name} and {second.name} have no wavelengths in common"
-        raise BadFile(path, why)
-    return Spectrum(nodes, first.at(nodes) * second.at(nodes), f"{first.name} x {second.name}")
-
-
-def _single(path, label, value, has_shares=True):
+def read_curve(path, label, value, has_shares=True):
     """Return a curve that is one function of wavelength."""
-    spectrum, _ = _curves(path, label, value, has_shares)
+    spectrum, _ = read_curves(path, label, value, has_shares)
     if len(spectrum.values) != 1:
         raise BadFile(path, f"{label}: wanted one curve, got {len(spectrum.values)}")
     return Spectrum(spectrum.wavelengths, spectrum.values[0], spectrum.name)
 
 
-def _curves(path, label, value, has_shares=True):
+def read_curves(path, label, value, has_shares=True):
     """Return a named table, .csv file or inline table as Spectrum (C, L) and C letters.
 
     has_shares: the values are efficiencies or transmissions, 0 .. 1 or percent.
