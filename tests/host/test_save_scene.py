@@ -66,6 +66,96 @@ def test_all_of_a_scene_comes_back(tmp_path, made, suffix):
         np.testing.assert_array_equal(getattr(back, key), getattr(made, key), err_msg=key)
 
 
+@pytest.mark.parametrize("suffix", [".hdr", ".tif", ".TIFF"])
+@pytest.mark.parametrize(
+    "made", list(forms()), ids=lambda scene: f"{scene.content.form}-{scene.border}"
+)
+@pytest.mark.parametrize("radiance", [False, True])
+def test_planes_come_back(tmp_path, made, suffix, radiance):
+    made = dataclasses.replace(made, depth=None)
+    gs.save_scene(made, tmp_path / f"a{suffix}", radiance=radiance)
+    back = gs.open_scene(tmp_path / f"a{suffix}")
+    is_radiance = radiance or not made.light_is_known
+    wanted = spectra(made)
+    if radiance and made.light_is_known:
+        wanted = wanted * made.illuminant.at(made.wavelengths)[:, None, None]
+    # radiance becomes energy and photons again, in float32: two factors and two products each way,
+    # and the unit of ENVI
+    rounded = 12 if is_radiance else 2
+    np.testing.assert_allclose(spectra(back), wanted, rtol=rounded * ULP)
+    assert back.light_is_known == (not is_radiance)
+    if not is_radiance:
+        np.testing.assert_array_equal(back.illuminant.wavelengths, made.illuminant.wavelengths)
+        np.testing.assert_array_equal(back.illuminant.values, made.illuminant.values)
+    for key in ("border", "margin", "fov", "name", "samples_per_pixel"):
+        np.testing.assert_array_equal(getattr(back, key), getattr(made, key), err_msg=key)
+    assert back.notes == ()
+
+
+@pytest.mark.parametrize("is_lit", [True, False])
+def test_spectral_python_and_gdals_fields_read_envi(tmp_path, is_lit):
+    """Reflectances, or radiance in W m-2 sr-1 um-1 by the gains."""
+    import spectral
+
+    made = scene(illuminant=LIGHT if is_lit else unit_light(WAVES), depth=None)
+    gs.save_scene(made, tmp_path / "a.hdr")
+    found = spectral.open_image(str(tmp_path / "a.hdr"))
+    assert (found.nrows, found.ncols, found.nbands) == (70, 9, 5)
+    assert found.bands.centers == WAVES.tolist() and found.bands.band_unit == "Nanometers"
+    wanted = made.content.values
+    if not is_lit:
+        assert found.metadata["data gain values"] == ["1"] * 5
+        wanted = wanted * (h * c / (WAVES * 1e-9))[:, None, None] * 1e3
+    theirs = np.moveaxis(np.asarray(found.load()), -1, 0)
+    np.testing.assert_allclose(theirs, wanted, rtol=4 * ULP)  # energy, two products
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.hdr", "a.img"]
+
+
+@pytest.mark.parametrize("is_lit", [True, False])
+def test_tifffile_and_openimageio_read_spectral_tiff(tmp_path, is_lit):
+    import OpenImageIO as oiio
+    import tifffile
+
+    made = scene(illuminant=LIGHT if is_lit else unit_light(WAVES), depth=None)
+    gs.save_scene(made, tmp_path / "a.tif")
+    wanted = made.content.values
+    if not is_lit:
+        wanted = wanted * (h * c / (WAVES * 1e-9))[:, None, None]
+    with tifffile.TiffFile(tmp_path / "a.tif") as file:
+        np.testing.assert_allclose(file.asarray(), wanted, rtol=3 * ULP)
+        said = json.loads(file.pages[0].description)
+        names = [page.tags["PageName"].value for page in file.pages]
+    assert said["wavelengths_nm"] == WAVES.tolist()
+    assert said["quantity"] == ("reflectance" if is_lit else "radiance")
+    assert said["unit"] == ("1" if is_lit else "W m-2 sr-1 nm-1")
+    assert names == [f"{nm:g} nm" for nm in WAVES]
+    for number in range(5):
+        page = oiio.ImageBuf(str(tmp_path / "a.tif"), number, 0)
+        assert page.spec().nchannels == 1 and str(page.spec().format) == "float"
+        pixels = page.get_pixels(oiio.FLOAT)[..., 0]
+        np.testing.assert_allclose(pixels, wanted[number], rtol=3 * ULP)
+
+
+def test_envi_next_to_other_data(tmp_path):
+    made = scene(depth=None)
+    gs.save_scene(made, tmp_path / "a.hdr")
+    gs.save_scene(made, tmp_path / "a.hdr")  # its own are replaced
+    (tmp_path / "a.raw").write_bytes(b"x")
+    with pytest.raises(BadFile, match=r"a\.raw would count as its data"):
+        gs.save_scene(made, tmp_path / "a.hdr")
+
+
+@pytest.mark.parametrize("suffix", [".hdr", ".tif"])
+def test_nothing_is_left_of_planes_that_cannot_be_written(tmp_path, monkeypatch, suffix):
+    def fail(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(BadFile, match="No space left"):
+        gs.save_scene(scene(depth=None), tmp_path / f"a{suffix}")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_colour_science_reads_reflectance_and_radiance(tmp_path):
     """By its reader of the layout of Fichet et al. (2021), through OpenImageIO: names, wavelengths, units, order."""
     import colour
@@ -164,7 +254,11 @@ def test_light_that_varies(tmp_path):
             "made has a view",
         ),
         ({"layers": "one"}, "a.exr", {}, BadFile, "made has 1 layers"),
-        ({}, "a.tif", {}, UnknownName, r"format of a scene's file '\.tif'; .*\.exr"),
+        ({}, "a.bil", {}, UnknownName, r"format of a scene's file '\.bil'; .*\.exr"),
+        ({}, "a.tif", {}, BadFile, "made has depth, which only"),
+        ({}, "a.hdr", {}, BadFile, "made has depth, which only"),
+        ({}, "a.hdr", {"half": True}, OutOfRange, r"for \.exr only"),
+        ({}, "a.npz", {"radiance": True}, OutOfRange, r"not for \.npz"),
         ({}, "scene", {}, UnknownName, "format of a scene's file"),
         ({}, "a.npz", {"half": True}, OutOfRange, r"for \.exr only"),
         ({}, "none/a.exr", {}, BadFile, "does not exist"),

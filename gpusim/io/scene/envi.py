@@ -28,6 +28,7 @@ COMPLEX = (6, 9)
 AXES = {"bsq": (0, 1, 2), "bil": (1, 0, 2), "bip": (2, 0, 1)}
 # suffixes of data files next to a header
 DATA = ("", ".raw", ".img", ".dat", ".bil", ".bip", ".bsq", ".bin", ".sli")
+SCENE = "gpusim scene"  # gpusim's own field, see `gpusim.io.scene.scene_planes`
 LIBRARY = "envi spectral library"
 NANOMETRES: dict[str, float] = {
     **dict.fromkeys("nanometers nanometer nanometres nanometre nm".split(), 1),
@@ -50,13 +51,14 @@ class Envi:
 
     kind: "reflectance" [1] or "radiance" [W m-2 sr-1 nm-1]. wavelengths: [nm], (L,), ascending.
     values: float32, (L, rows, cols), or (L, spectra) of a library. notes: values that were changed
-    or not read.
+    or not read. scene: gpusim's own description of a scene, or None.
     """
 
     kind: str
     wavelengths: np.ndarray
     values: np.ndarray
     notes: tuple[str, ...]
+    scene: str | None = None
 
 
 def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | None = None) -> Envi:
@@ -121,8 +123,10 @@ def read_envi(path, wavelengths=None, kind: str | None = None, scale: float | No
         )
     if kind == "reflectance" and scale is None and factor == 1 and gains is None:
         check_reflectances(data, values)
+    scene = header.account.take(SCENE)
     notes += [*changes, *header.fields_left(library)]
-    return Envi(kind, wavelengths[order], values[..., 0] if library else values, tuple(notes))
+    values = values[..., 0] if library else values
+    return Envi(kind, wavelengths[order], values, tuple(notes), scene)
 
 
 class _SelectedPlanes:
@@ -335,8 +339,8 @@ def _wavelengths(header, own, count):
     return nm, good, notes
 
 
-def _data_file(path, wanted):
-    """Return the data file next to a header: its name without .hdr, or with another suffix."""
+def data_files(path) -> dict[Path, int]:
+    """Return the files next to a header that could be its data, with their sizes [byte]."""
     base, found = path.with_suffix(""), {}
     for ending in (*DATA, *map(str.upper, DATA)):
         other = base.with_name(base.name + ending)
@@ -346,13 +350,18 @@ def _data_file(path, wanted):
             continue
         if not other.is_dir() and other != path:
             found.setdefault((status.st_dev, status.st_ino), (other, status.st_size))
-    fitting = [file for file, size in found.values() if size == wanted]
-    fitting = fitting or [file for file, _ in found.values()]
+    return dict(found.values())
+
+
+def _data_file(path, wanted):
+    """Return the data file next to a header: its name without .hdr, or with another suffix."""
+    found = data_files(path)
+    fitting = [file for file, size in found.items() if size == wanted] or list(found)
     if not fitting:
         others = ", ".join(DATA[1:])
+        base = path.with_suffix("").name
         raise BadFile(
-            path,
-            f"no data file next to it: wanted {base.name}, or this name with one of {others}",
+            path, f"no data file next to it: wanted {base}, or this name with one of {others}"
         )
     if len(fitting) > 1:
         names = ", ".join(file.name for file in fitting)

@@ -33,6 +33,7 @@ from gpusim.io.scene.npy import read_npy
 from gpusim.io.scene.npz import read_npz
 from gpusim.io.scene.photo import damage, lift, read_photo
 from gpusim.io.scene.scene_exr import scene_parts
+from gpusim.io.scene.scene_planes import scene_of_header, scene_of_tiff
 from gpusim.io.scene.spectra import patches, read_spectra
 from gpusim.io.scene.stacks import check_reflectances, checked_scale, cut_noise
 from gpusim.io.scene.tiff import SUFFIXES as TIFF
@@ -160,6 +161,11 @@ def _photo(path, white):
 
 
 def _tiff(path, white, wavelengths=None, kind=None, scale=None):
+    own = scene_of_tiff(path) if wavelengths is None and kind is None and scale is None else None
+    if own is not None:
+        wavelengths, kind, parts = checked_wavelengths(own[0]), checked_kind(own[1]), own[2]
+        values = read_stack(path, len(wavelengths), 1.0)
+        return _with_parts(path, scene_of_planes(path, white, wavelengths, values, kind), parts)
     if wavelengths is not None:
         wavelengths = checked_wavelengths(wavelengths)
         values = read_stack(path, len(wavelengths), checked_scale(scale))
@@ -180,7 +186,16 @@ def _envi(path, white, wavelengths=None, kind=None, scale=None, size=None):
     if size is not None:
         allowed = f"for charts and libraries of spectra; {path} has its own size"
         raise OutOfRange("size", format_value(size), allowed)
-    return scene_of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
+    scene = scene_of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
+    is_own = held.kind == "reflectance" or kind is None
+    parts = scene_of_header(path, held.scene) if is_own else {}
+    return _with_parts(path, scene, parts)
+
+
+def _with_parts(path, scene, parts):
+    """Return a scene with the fields that a file of gpusim's own has."""
+    with name_in_errors(path):
+        return dataclasses.replace(scene, **parts)
 
 
 def _npy(path, white, wavelengths=None, kind=None, scale=None):

@@ -34,6 +34,33 @@ ROWS = 64  # converted to spectra in float64 at once
 
 def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = False):
     """Write a scene, see `save_scene`. Raises BadFile, DoesNotFit."""
+    values, parts = scene_planes(path, scene, radiance)
+    depth = {} if scene.depth is None else {DEPTH: np.asarray(scene.depth)}
+    labels = {
+        f"label.{name}": label for name, label in scene.labels.items() if name not in (FLOW, BOXES)
+    }
+    if len(labels) < len(scene.labels):
+        raise BadFile(path, f"{scene.name} has boxes or flow, which only an .npz holds")
+    for name, label in labels.items():
+        if np.abs(label, dtype=np.float64).max() >= 2**24:  # float32's whole numbers
+            raise BadFile(path, f"{name}: numbers from 2^24 on, which only an .npz holds")
+    write_spectral_exr(
+        path,
+        scene.wavelengths,
+        values,
+        reflectance="illuminant" in parts,
+        half=half,
+        more=depth | labels,
+        **{ATTRIBUTE: json.dumps(parts)},
+    )
+
+
+def scene_planes(path, scene: Scene, radiance: bool) -> tuple[np.ndarray, dict]:
+    """Return planes float32 (L, rows, cols) of a scene, and its other fields for `parts_of_json`.
+
+    The planes are reflectances if the fields have an "illuminant", else radiance [photon s-1 m-2
+    sr-1 nm-1]. radiance: also if the light is known. Raises BadFile, DoesNotFit.
+    """
     check_whole(path, scene)
     content, reflectance = scene.content.on_host(), scene.light_is_known and not radiance
     if reflectance and isinstance(content, Illuminated):
@@ -57,24 +84,7 @@ def write_scene_exr(path, scene: Scene, *, radiance: bool = False, half: bool = 
             "wavelengths_nm": scene.illuminant.wavelengths.tolist(),
             "values": scene.illuminant.values.tolist(),
         }
-    depth = {} if scene.depth is None else {DEPTH: np.asarray(scene.depth)}
-    labels = {
-        f"label.{name}": label for name, label in scene.labels.items() if name not in (FLOW, BOXES)
-    }
-    if len(labels) < len(scene.labels):
-        raise BadFile(path, f"{scene.name} has boxes or flow, which only an .npz holds")
-    for name, label in labels.items():
-        if np.abs(label, dtype=np.float64).max() >= 2**24:  # float32's whole numbers
-            raise BadFile(path, f"{name}: numbers from 2^24 on, which only an .npz holds")
-    write_spectral_exr(
-        path,
-        scene.wavelengths,
-        values,
-        reflectance=reflectance,
-        half=half,
-        more=depth | labels,
-        **{ATTRIBUTE: json.dumps(parts)},
-    )
+    return values, parts
 
 
 def scene_parts(path) -> dict:
@@ -88,13 +98,17 @@ def scene_parts(path) -> dict:
         file = OpenEXR.File(str(path), separate_channels=True, header_only=True)
         if ATTRIBUTE not in file.header():
             return {}
-        stored = json.loads(file.header()[ATTRIBUTE])
-        if not isinstance(stored, dict):
-            raise ValueError(f"{ATTRIBUTE} is no JSON object")
-        parts = {key: kind(stored[key]) for key, kind in PARTS.items() if key in stored}
-        if "illuminant" in stored:
-            light = stored["illuminant"]
-            wavelengths = np.asarray(light["wavelengths_nm"], np.float64)
-            power = np.asarray(light["values"], np.float64)
-            parts["illuminant"] = Spectrum(wavelengths, power, str(light["name"]))
-        return parts
+        return parts_of_json(json.loads(file.header()[ATTRIBUTE]))
+
+
+def parts_of_json(stored) -> dict:
+    """Return fields of Scene from their description. Raises any error if it is damaged."""
+    if not isinstance(stored, dict):
+        raise ValueError(f"{ATTRIBUTE} is no JSON object")
+    parts = {key: kind(stored[key]) for key, kind in PARTS.items() if key in stored}
+    if "illuminant" in stored:
+        light = stored["illuminant"]
+        wavelengths = np.asarray(light["wavelengths_nm"], np.float64)
+        power = np.asarray(light["values"], np.float64)
+        parts["illuminant"] = Spectrum(wavelengths, power, str(light["name"]))
+    return parts

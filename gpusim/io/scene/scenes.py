@@ -31,6 +31,8 @@ from gpusim.io.scene.readers import (
     select_options,
 )
 from gpusim.io.scene.scene_exr import write_scene_exr
+from gpusim.io.scene.scene_planes import write_envi, write_tiff
+from gpusim.io.scene.tiff import SUFFIXES as TIFF
 from gpusim.optics.weights import xyz_per_content
 
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances with unknown light
@@ -165,12 +167,14 @@ def save_scene(
     An .npz holds the complete scene. An .exr is a spectral OpenEXR for other programs, with one
     channel per wavelength and the depth as channel Z: reflectances, or radiance if the light is
     unknown. All forms become a cube of float32; negative values of a basis become 0. `open_scene`
-    reads the light, border and the rest from an attribute. Layout: see `gpusim.io.exr`.
+    reads the light, border and the rest from an attribute. Layout: see `gpusim.io.exr`. An .hdr is an
+    ENVI file with its numbers in an .img, a .tif has one page for each wavelength; they hold the same
+    without depth and labels.
 
     Args:
         scene: scene to write.
-        path: file to write, .npz or .exr.
-        radiance: write radiance although the light is known, .exr only. It is sampled at the
+        path: file to write, .npz, .exr, .hdr or .tif.
+        radiance: write radiance although the light is known, not for .npz. It is sampled at the
             scene's wavelengths: lines between them are lost, and light and surfaces are no longer
             separate.
         half: use 16-bit floats, .exr only.
@@ -178,18 +182,24 @@ def save_scene(
     Raises:
         BadFile: if the file cannot be written or cannot hold the scene: layers, views, and
             reflectances in light that varies.
-        OutOfRange: if `radiance` or `half` are set for .npz.
+        OutOfRange: if `radiance` is set for .npz, or `half` for other files than .exr.
         UnknownName: if the suffix is unknown.
         DoesNotFit: if the cube does not fit into memory.
     """
     suffix, scene = Path(path).suffix.lower(), checked_scene(scene, True)
     if suffix == ".exr":
         write_scene_exr(path, scene, radiance=radiance, half=half)
+    elif half:
+        raise OutOfRange("half", True, "for .exr only: other files have 32 bits or more")
+    elif suffix == ".hdr":
+        write_envi(path, scene, radiance=radiance)
+    elif suffix in TIFF:
+        write_tiff(path, scene, radiance=radiance)
     elif suffix != ".npz":
-        raise UnknownName("format of a scene's file", suffix or str(path), (".exr", ".npz"))
-    elif radiance or half:
-        allowed = "for .exr only: an .npz holds the complete scene"
-        raise OutOfRange("radiance, half", "given for .npz", allowed)
+        known = (".exr", ".hdr", ".npz", *TIFF)
+        raise UnknownName("format of a scene's file", suffix or str(path), known)
+    elif radiance:
+        raise OutOfRange("radiance", True, "not for .npz, which holds the complete scene")
     else:
         write_npz(path, scene)
 
