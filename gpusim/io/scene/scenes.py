@@ -81,8 +81,8 @@ def open_scene(
         scale: number in the file that stands for 1. None is 1 for floats, the largest of uint8 and
             uint16, and the value of an ENVI header.
         projection: "plane" or "equirectangular" (a panorama), see Scene; replaces the scene's.
-        part: name or number (from 0) of the only part of an .exr to read; None reads all parts that
-            have one frame.
+        part: name or number (from 0) of the only part of an .exr to read, None reads all parts that
+            have one frame; number of the page of a photograph in a .tif.
         layer: layer of an .exr with the picture, such as "ViewLayer" or "diffuse"; a part's name
             will do.
         view: view of a stereo .exr, such as "right"; None is the file's first.
