@@ -375,7 +375,8 @@ class Request(Options):
     )
     part: str | None = option(
         metavar="NAME",
-        help="name or number (from 0) of the only part of an .exr to read (default: all of one size)",
+        help="name or number (from 0) of the only part of an .exr to read (default: all of one "
+        "size), or of the page of a .tif",
     )
     layer: str | None = option(
         metavar="NAME", help="layer of an .exr with the picture, such as ViewLayer"

@@ -11,6 +11,7 @@ from typing import Any
 from gpusim.domain.errors import one_line
 
 LONGEST_NAME, LONGEST_NOTE = 40, 240  # letters
+EVEN = 0.005  # relative difference of two resolutions, from rounding to pixels per metre
 
 
 class Fields:
@@ -63,3 +64,10 @@ def note_of(what: str, names: Iterable[str]) -> tuple[str, ...]:
         kept -= 1
     rest = [f"{len(shown) - kept} more"] * (kept < len(shown))
     return (f"{what}: {', '.join(shown[:kept] + rest)}",) if shown else ()
+
+
+def note_resolution(across, down) -> list[str]:
+    """Return a note on numbers of pixels in a length that differ; nothing if they hardly do."""
+    if across > 0 and down > 0 and abs(across / down - 1) > EVEN:
+        return [f"resolution {across:g} x {down:g}: pixels are taken as square"]
+    return []

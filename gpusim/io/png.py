@@ -47,12 +47,13 @@ class Header:
         return nbytes
 
 
-def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
-    """Check a PNG from its signature to its end; return its header and, with `keep`, its lines.
+def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes, dict[bytes, bytes]]:
+    """Check a PNG from its signature to its end; return its header, its lines and other chunks.
 
-    The lines are filtered. Takes no more memory than the declared lines. Raises BadFile.
+    The lines are filtered, and left out without `keep`. The first chunk of each kind is returned.
+    Takes no more memory than the declared lines and the file. Raises BadFile.
     """
-    header, packed = _chunks(path, data)
+    header, packed, others = _chunks(path, data)
     inflate, pieces, found = zlib.decompressobj(), [], 0
     for piece in packed:
         while piece and not inflate.eof:
@@ -70,12 +71,12 @@ def read_lines(path, data: bytes, keep: bool) -> tuple[Header, bytes]:
             f"truncated: holds {found} of the {header.nbytes} bytes that {header.cols} x "
             f"{header.rows} pixels take",
         )
-    return header, b"".join(pieces)
+    return header, b"".join(pieces), others
 
 
 def _chunks(path, data):
-    """Return header and compressed pieces of a PNG; raise BadFile if a chunk is damaged."""
-    header, packed, place = None, [], len(SIGNATURE)
+    """Return header, compressed pieces and other chunks; raise BadFile if a chunk is damaged."""
+    header, packed, others, place = None, [], {}, len(SIGNATURE)
     view = memoryview(data)
     while True:
         if place + 12 > len(data):
@@ -95,7 +96,9 @@ def _chunks(path, data):
         elif kind == b"IDAT":
             packed.append(body)
         elif kind == b"IEND":
-            return header, packed
+            return header, packed, others
+        else:
+            others.setdefault(kind, bytes(body))
         place += length + 12
 
 

@@ -443,7 +443,7 @@ def test_ids_alpha_and_passes_are_noted(tmp_path):
 
 def test_choices_are_for_exr_only(tmp_path):
     for option in ("part", "layer", "view"):
-        with refused(option, "for .exr only", error=OutOfRange):
+        with refused(option, "for .exr", error=OutOfRange):
             gs.open_scene("flat", **{option: "left"})
 
 

@@ -207,8 +207,9 @@ def test_refusals(tmp_path):
 @pytest.mark.parametrize(
     "array, options, said",
     [
-        (np.zeros((7, 9), np.int32), {}, "wanted 8 or 16 bit"),
-        (np.zeros((7, 9), bool), {}, "wanted 8 or 16 bit"),
+        (np.zeros((7, 9), np.int32), {}, "int32: numbers with a sign"),
+        (np.zeros((7, 9), np.uint64), {}, "wanted 8, 16 or 32 bit"),
+        (np.zeros((7, 9), bool), {}, "wanted 8, 16 or 32 bit"),
         (np.zeros((7, 9, 4), np.uint8), {"photometric": "separated"}, "4 channels"),
         (
             np.zeros((7, 9), np.uint8),
@@ -217,7 +218,7 @@ def test_refusals(tmp_path):
         ),
         (
             np.zeros((7, 9, 3), np.uint8),
-            {"photometric": "rgb", "compression": "jpeg"},
+            {"photometric": "rgb", "compression": "webp"},
             "compressed by",
         ),
         (np.full((7, 9), np.nan, np.float32), {}, "NaN"),

@@ -18,7 +18,7 @@ from gpusim.domain.errors import (
     one_line,
 )
 from gpusim.domain.scene import PANORAMA, Scene, unit_light
-from gpusim.domain.spectrum import energy_from_photons, energy_per_photon
+from gpusim.domain.spectrum import Spectrum, energy_from_photons, energy_per_photon
 from gpusim.io.exr import read_exr
 from gpusim.io.files import name_in_errors
 from gpusim.io.scene.bands import read_bands
@@ -31,7 +31,7 @@ from gpusim.io.scene.iset import is_iset, read_iset
 from gpusim.io.scene.mat import open_mat
 from gpusim.io.scene.npy import read_npy
 from gpusim.io.scene.npz import read_npz
-from gpusim.io.scene.photo import damage, lift, read_photo
+from gpusim.io.scene.photo import lift, read_photo
 from gpusim.io.scene.scene_exr import scene_parts
 from gpusim.io.scene.scene_planes import scene_of_header, scene_of_tiff
 from gpusim.io.scene.spectra import patches, read_spectra
@@ -90,9 +90,10 @@ def _exr(path, white, bands=None, ray=None, no_depth=False, **choices):
         raise BadFile(path, 'depth = "ray", but there is no channel of depth')
     is_picture = held.wavelengths is None
     content = lift(held.values) if is_picture else Cube(held.wavelengths, held.values)
-    if held.white is not None:
-        white = white.scale(held.white / xyz(energy_from_photons(white))[1])
-    parts, notes = {"name": path.stem, "illuminant": white} | scene_parts(path), held.notes
+    parts, notes = (
+        {"name": path.stem, "illuminant": _at(white, held.white)} | scene_parts(path),
+        held.notes,
+    )
     if held.kind == "radiance":
         parts["illuminant"] = unit_light(held.wavelengths)
     if held.is_panorama:
@@ -154,26 +155,43 @@ def _cube(path, white, root, key, wavelengths=None, kind=None, scale=None):
     return scene_of_planes(path, white, held.wavelengths, held.values, held.kind, held.notes)
 
 
-def _photo(path, white):
-    content = read_photo(path)
+def _photo(path, white, part=None):
+    content, own, notes = read_photo(path, part)
     with name_in_errors(path):
-        return Scene(content, white, name=path.stem, notes=damage(path))
+        return Scene(content, _at(white, own), name=path.stem, notes=notes)
 
 
-def _tiff(path, white, wavelengths=None, kind=None, scale=None):
-    own = scene_of_tiff(path) if wavelengths is None and kind is None and scale is None else None
+def _at(white: Spectrum, luminance: float | None) -> Spectrum:
+    """Return the light of white at the luminance that a file says [cd/m2], if it does."""
+    if luminance is None:
+        return white
+    return white.scale(luminance / xyz(energy_from_photons(white))[1])
+
+
+def _tiff(path, white, wavelengths=None, kind=None, scale=None, part=None):
+    is_asked = any(one is not None for one in (wavelengths, kind, scale, part))
+    own = None if is_asked else scene_of_tiff(path)
     if own is not None:
         wavelengths, kind, parts = checked_wavelengths(own[0]), checked_kind(own[1]), own[2]
-        values = read_stack(path, len(wavelengths), 1.0)
-        return _with_parts(path, scene_of_planes(path, white, wavelengths, values, kind), parts)
+        values, notes = read_stack(path, len(wavelengths), 1.0)
+        scene = scene_of_planes(path, white, wavelengths, values, kind, notes)
+        return _with_parts(path, scene, parts)
     if wavelengths is not None:
-        wavelengths = checked_wavelengths(wavelengths)
-        values = read_stack(path, len(wavelengths), checked_scale(scale))
-        return scene_of_planes(path, white, wavelengths, values, checked_kind(kind))
+        if part is not None:
+            raise OutOfRange("part", part, "without wavelengths only: planes are all pages")
+        wavelengths, kind, scale = (
+            checked_wavelengths(wavelengths),
+            checked_kind(kind),
+            checked_scale(scale),
+        )
+        values, notes = read_stack(path, len(wavelengths), scale)
+        if kind == "reflectance" and scale is None:
+            check_reflectances(path, values)
+        return scene_of_planes(path, white, wavelengths, values, kind, notes)
     if kind is not None or scale is not None:
         name, value = ("scale", scale) if kind is None else ("kind", kind)
         raise OutOfRange(name, value, "with wavelengths only")
-    return _photo(path, white)
+    return _photo(path, white, part)
 
 
 def _envi(path, white, wavelengths=None, kind=None, scale=None, size=None):
@@ -274,7 +292,7 @@ READERS = {
     ".mat": Reader(_mat, ("ray", "no_depth", "key", *PLANES)),
     **dict.fromkeys(HDF5, Reader(_hdf5, ("key", *PLANES))),
     **dict.fromkeys((".png", ".jpg", ".jpeg"), Reader(_photo)),
-    **dict.fromkeys(TIFF, Reader(_tiff, PLANES)),
+    **dict.fromkeys(TIFF, Reader(_tiff, (*PLANES, "part"))),
     ".hdr": Reader(_envi, (*PLANES, "size")),
     ".npy": Reader(_npy, PLANES),
     ".csv": Reader(_csv, ("kind", "scale", "size"), in_folders=False),

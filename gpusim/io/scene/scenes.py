@@ -94,8 +94,8 @@ def open_scene(
         key: name of the cube in a .mat or HDF5 file with several, such as "rad" or "/scene/cube"; or
             of ISETCam's struct.
         projection: "plane" or "equirectangular" (a panorama), see Scene; replaces the scene's.
-        part: name or number (from 0) of the only part of an .exr to read; None reads all parts that
-            have one frame.
+        part: name or number (from 0) of the only part of an .exr to read, None reads all parts that
+            have one frame; number of the page of a photograph in a .tif.
         layer: layer of an .exr with the picture, such as "ViewLayer" or "diffuse"; a part's name
             will do.
         view: view of a stereo .exr, such as "right"; None is the file's first.
