@@ -459,6 +459,7 @@ class _Shot(Parts):
         self.exposure, self.values, self.error = exposure, values, error
         self.seed, self.number = seed, number
         self.ms, self.wall_ms = (dict(exposure.ms), exposure.wall_ms) if is_timed else ({}, 0.0)
+        self.single: Any = None
 
     @cached_property
     def raw(self):
