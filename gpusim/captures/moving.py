@@ -261,11 +261,11 @@ def expose_motion(
     account = exposure.plan.account
     bounds = account.bounds | {"view": resampled, "shutter": wrong}
     if travels:
-        own = simulator, exposure, ratio
+        settings = simulator, exposure, ratio
         bounds["surfaces that were hidden"] = _bound(
-            guess_error, np.mean([one.guessed for one in seen], 0), *own
+            guess_error, np.mean([one.guessed for one in seen], 0), *settings
         )
-        moved = _bound(between_error, np.mean([one.between for one in seen], 0), *own)
+        moved = _bound(between_error, np.mean([one.between for one in seen], 0), *settings)
         bounds["view"] = sum_errors([resampled, moved])
     account, models = dataclasses.replace(account, bounds=bounds), exposure.plan.models
     if words:
