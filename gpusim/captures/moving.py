@@ -261,13 +261,11 @@ def expose_motion(
     account = exposure.plan.account
     bounds = account.bounds | {"view": resampled, "shutter": wrong}
     if travels:
-        guessed, moved_by = (
-            np.mean([getattr(one, name) for one in seen], 0) for name in ("guessed", "between")
-        )
+        settings = simulator, exposure, ratio
         bounds["surfaces that were hidden"] = _bound(
-            guess_error, guessed, simulator, exposure, ratio
+            guess_error, np.mean([one.guessed for one in seen], 0), *settings
         )
-        moved = _bound(between_error, moved_by, simulator, exposure, ratio)
+        moved = _bound(between_error, np.mean([one.between for one in seen], 0), *settings)
         bounds["view"] = sum_errors([resampled, moved])
     account, models = dataclasses.replace(account, bounds=bounds), exposure.plan.models
     if words:

@@ -430,8 +430,7 @@ def make_frame(
         OutOfRange: The seed or the number is not allowed. Other errors are raised when a part is computed.
     """
     check_drawn(seed, number, None, 0)  # now, not when raw values are computed
-    shot = _Shot(exposure, values, seed, number, error, is_timed)
-    shot.single = single
+    shot = _Shot(exposure, values, seed, number, error, is_timed, single)
     if raw is not None:
         shot.raw = raw
     frame = Frame(
@@ -455,9 +454,9 @@ def make_frame(
 class _Shot(Parts):
     """One picture while it is computed. ms: milliseconds per stage so far. wall_ms: in all."""
 
-    def __init__(self, exposure, values, seed, number, error, is_timed):
+    def __init__(self, exposure, values, seed, number, error, is_timed, single):
         self.exposure, self.values, self.error = exposure, values, error
-        self.seed, self.number = seed, number
+        self.seed, self.number, self.single = seed, number, single
         self.ms, self.wall_ms = (dict(exposure.ms), exposure.wall_ms) if is_timed else ({}, 0.0)
         self.single: Any = None
 
