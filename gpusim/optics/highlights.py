@@ -39,6 +39,7 @@ MOST_SPOTS = 32  # places in the field that have kernels of their own
 FINER = 2.0  # parts of a pixel to a diffraction ring at least, 8 parts at most
 SAME_PLACE = 0.1  # [pixel] of the blur's radius between distances that may hide each other
 MOST_LEVELS = 64  # distances in front of a point
+STREAKS = (1.0, 1.5)  # of a core's half side, at which streaks are
 PROBED = 12  # rows and columns at which the light beyond a core is compared with exact light
 ON_AXIS = np.zeros((1, 5))
 
@@ -351,12 +352,16 @@ def beyond_errors(
 ) -> tuple[float, float]:
     """Return the relative error of light beyond a core on the axis, in the mean and at most, of all channels.
 
-    Compared are pixels along the core's rim. weights: of the wavelengths in the channels, (C, L). distance: of the
-    point; 0: in focus [m].
+    Compared are pixels along the core's rim, or on and between streaks. weights: of the wavelengths in the channels,
+    (C, L). distance: of the point; 0: in focus [m].
     """
     if lens.tail is None:
         return 0.0, 0.0
-    at = np.unique(np.round(np.linspace(-core, core, PROBED)).astype(int))
+    along = np.linspace(-core, core, PROBED)
+    if lens.tail.lines:  # most of the light is on narrow streaks
+        lines = np.outer(STREAKS, [*np.cos(lens.tail.lines), *np.sin(lens.tail.lines)]).ravel()
+        along = core * np.concatenate([lines, -lines])
+    at = np.unique(np.round(along).astype(int))
     exact, centre = lens.point_energies(wavelengths, np.array([0.0, 0, 0, 0, distance]), at)
     made = _rim_kernels(lens, wavelengths, exact[None], centre[None], core, 2 * core, (distance,))
     y, x = np.meshgrid(at, at, indexing="ij")
@@ -366,8 +371,13 @@ def beyond_errors(
     wrong = np.abs(np.maximum(weights, 0) @ seen - light)
     light = np.maximum(light, 1e-300)
     there = weights.max(axis=1) > 0
-    rms = np.sqrt((wrong**2).sum(axis=1) / (light**2).sum(axis=1))
-    return float(rms[there].max(initial=0)), float((wrong / light)[there].max(initial=0))
+    away = np.maximum(abs(y), abs(x))[outer] > core
+    rms = [
+        np.sqrt((wrong[:, some] ** 2).sum(axis=1) / (light[:, some] ** 2).sum(axis=1))[there]
+        for some in (~away, away)
+        if some.any()
+    ]
+    return float(np.max(rms, initial=0)), float((wrong / light)[there].max(initial=0))
 
 
 def beyond_light(
