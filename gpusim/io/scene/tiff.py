@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadFile, UnknownName
+from gpusim.domain.errors import BadFile, format_value
 from gpusim.domain.memory import require_memory
 from gpusim.io.account import Fields, note_of, note_resolution
 from gpusim.io.files import file_size, open_file, reading, silence
@@ -42,7 +42,8 @@ IDLE_TAGS = (
     "SampleFormat JPEGTables YCbCrCoefficients YCbCrSubSampling YCbCrPositioning ReferenceBlackWhite "
     "InterColorProfile XMP IPTCNewsPhoto ImageResources ImageSourceData PhotoshopINFO Copyright "
     "ExifTag GPSTag InteroperabilityTag ImageID IJMetadata IJMetadataByteCounts GDAL_METADATA "
-    "GDAL_NODATA Model*Tag Geo*Tag ImageJ* JPEG* Rating* Lerc* UniqueCameraModel XP* Padding"
+    "GDAL_NODATA WhitePoint PrimaryChromaticities Model*Tag Geo*Tag ImageJ* JPEG* Rating* Lerc* "
+    "UniqueCameraModel XP* Padding"
 ).split()
 ITEM = re.compile(r"<Item\b([^<>]*)>([^<>]*)</Item>")  # of GDAL's metadata
 LONGEST_METADATA = 2**20
@@ -138,7 +139,7 @@ def read_picture(path, part: int | str | None = None) -> tuple[np.ndarray, dict,
 
     Channels are as in `read_samples`; tags are for `coding_of`. It is turned to its orientation. A
     premultiplied alpha is left out, because its background is dark already. part: number of the
-    page, from 0. Raises BadFile, UnknownName, DoesNotFit.
+    page, from 0. Raises BadFile, DoesNotFit.
     """
     with _open_pages(path) as (pages, stored, notes):
         page = _choose(path, pages, part)
@@ -194,9 +195,9 @@ def _resolution(page) -> list[str]:
 def _choose(path, pages, part):
     """Return the page of a number, or the only page."""
     if part is not None:
-        known = [str(number) for number in range(len(pages))]
-        if str(part) not in known:
-            raise UnknownName(f"page of {path}", str(part), known)
+        if str(part) not in map(str, range(len(pages))):
+            why = f"part = {format_value(part)}: wanted a page of 0 .. {len(pages) - 1}"
+            raise BadFile(path, why)
         return pages[int(part)]
     if len(pages) > 1:
         raise BadFile(
