@@ -50,6 +50,7 @@ def png(data: bytes, random) -> bytes:
                     b"fcTL",
                     b"fdAT",
                     b"cHRM",
+                    b"cICP",
                     b"pHYs",
                     b"sRGB",
                     b"QQQQ",
@@ -212,6 +213,13 @@ def tiff(data: bytes, random) -> bytes:
 
 
 NAMES = (
+    b"RY",
+    b"BY",
+    b"right.R",
+    b"left.right.G",
+    b"Combined.B",
+    b".",
+    b"..R",
     b"R",
     b"G",
     b"B",

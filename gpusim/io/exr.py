@@ -258,9 +258,10 @@ def _picture(held: Contents, pixels: _Pixels, attributes: Attributes):
         matrix = srgb_from_rgb(chromaticities)
     if held.kind == "yc":
         primaries = SRGB if chromaticities is None else chromaticities
-        planes = rgb_from_chroma(*(pixels.finite(one, True) for one in channels), primaries)
+        luminance, red, blue = (pixels.finite(one, True) for one in channels)
+        planes = list(rgb_from_chroma(luminance, red, blue, primaries))
     else:
-        planes = (pixels.finite(one) for one in channels)
+        planes = [pixels.finite(one) for one in channels]
     frame = pixels.frames[channels[0].part]
     values = np.empty((len(channels), *pixels.shape_of(frame)), np.float32)
     for plane, one, found in zip(values, channels, planes, strict=True):

@@ -94,7 +94,7 @@ class Part:
             windows.append((top, left, bottom + 1, right + 1))
         names = tuple(channel.name for channel in header["channels"])
         aspect = float(header["pixelAspectRatio"])
-        return cls(number, name, view, views, aspect, *windows, names, header)
+        return cls(number, name, view, views, aspect, windows[0], windows[1], names, header)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -304,8 +304,8 @@ class Attributes(Fields):
         self.path = path
         self.ignore(*STRUCTURE, *MAKING)
         # the projection of a renderer, which says nothing at its default
-        for name, default in (("screenWindowCenter", (0, 0)), ("screenWindowWidth", 1)):
-            if np.array_equal(merged.get(name), np.float32(default)):
+        for name, default in (("screenWindowCenter", [0, 0]), ("screenWindowWidth", [1])):
+            if np.array_equal(np.ravel(merged.get(name, ())), default):
                 self.ignore(name)
 
     def chromaticities(self):

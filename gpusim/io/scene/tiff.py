@@ -210,7 +210,7 @@ def _choose(path, pages, part):
 
 def _colour_tags(page) -> dict:
     """Return the tags of a page for `coding_of`."""
-    tags = {}
+    tags: dict[str, Any] = {}
     if page.iccprofile:
         tags["icc"] = bytes(page.iccprofile)
     white, primaries = (page.tags.valueof(name) for name in ("WhitePoint", "PrimaryChromaticities"))
