@@ -33,6 +33,7 @@ from gpusim.io.orientation import turn
 UNITS = "W.m^-2.sr^-1.nm^-1"
 SRGB = np.array((*DISPLAYS["srgb"].primaries, DISPLAYS["srgb"].white))
 PLANES_OF_COLORS = 9  # extra planes held during the conversion to sRGB
+SPECTRA = 2 * 43 * 8  # [byte] a pixel of a line, whose spectra are checked
 OUTSIDE = (
     "colours outside sRGB, which have no reflectance here: {:.2g} % of the samples, moved towards grey of "
     "the same luminance until they fit"
@@ -112,7 +113,7 @@ def read_exr(
     # Every channel of every part is read, at worst as 4-byte numbers; the cube is a copy.
     stored = sum(len(one.channels) * math.prod(one.size) for one in parts)
     copied = len(used) + (PLANES_OF_COLORS if held.is_picture else 1)
-    needed = 4 * (stored + copied * rows * cols)
+    needed = 4 * (stored + copied * rows * cols) + SPECTRA * held.is_picture * max(rows, cols)
     rows, cols = max(home.shape, *(one.size for one in parts), key=math.prod)
     require_memory(f"{path}: {len(channels)} channels of {cols} x {rows} pixels", needed)
     pixels = _Pixels(path, parts, _read(path), frames, attributes.orientation())
