@@ -218,6 +218,7 @@ def good_pictures(reader, folder):
             lambda: write_foreign_exr(path, random),
             lambda: write_layers_exr(path, random),
             lambda: write_chroma_exr(path, random),
+            lambda: write_parts_exr(path, random),
         ):
             write()
             found.append(path.read_bytes())
@@ -325,6 +326,19 @@ def write_chroma_exr(path, random):
     OpenEXR.File(
         header, {name: random.random((6, 8), np.float32) / 4 for name in ("Y", "RY", "BY")}
     ).write(str(path))
+
+
+def write_parts_exr(path, random):
+    """Four parts: a picture and its distances in two views."""
+    import OpenEXR
+
+    parts = []
+    for view in ("left", "right"):
+        for name, channels in (("rgba", "RGB"), ("depth", "Z")):
+            header = {"type": OpenEXR.scanlineimage, "view": view}
+            planes = {channel: 1 + random.random((7, 9), np.float32) for channel in channels}
+            parts.append(OpenEXR.Part(header, planes, f"{name}.{view}"))
+    OpenEXR.File(parts).write(str(path))
 
 
 def colour_chunks(display):
