@@ -313,3 +313,32 @@ def test_uint32_photographs(tmp_path):
         np.moveaxis(scene.content.coefficients, 0, -1), light, atol=2.3 / 65535
     )
     assert said(scene, "upper 16")
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_planes_are_turned(tmp_path, orientation):
+    """As OpenImageIO turns the same page."""
+    import OpenImageIO as oiio
+
+    stored = RANDOM.random((8, 9, 3), np.float32)
+    tifffile.imwrite(
+        tmp_path / "a.tif",
+        stored,
+        photometric="minisblack",
+        planarconfig="contig",
+        metadata=None,
+        extratags=[(274, "H", 1, orientation, True)],
+    )
+    turned = oiio.ImageBufAlgo.reorient(oiio.ImageBuf(str(tmp_path / "a.tif")))
+    values = gs.open_scene(tmp_path / "a.tif", wavelengths=WAVES).content.values
+    np.testing.assert_array_equal(np.moveaxis(values, 0, -1), turned.get_pixels(oiio.FLOAT))
+
+
+def test_planes_where_0_is_white_and_planes_of_no_light(tmp_path):
+    stored = RANDOM.integers(0, 255, (8, 9), np.uint8)
+    tifffile.imwrite(tmp_path / "a.tif", stored, photometric="miniswhite", metadata=None)
+    values = gs.open_scene(tmp_path / "a.tif", wavelengths=[550]).content.values
+    np.testing.assert_allclose(values[0], (255 - stored) / 255, rtol=2e-7)
+    tifffile.imwrite(tmp_path / "a.tif", stored, photometric="cfa", metadata=None)
+    with refused("a.tif", "wanted planes of light", error=BadFile):
+        gs.open_scene(tmp_path / "a.tif", wavelengths=[550])
