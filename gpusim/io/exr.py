@@ -189,14 +189,16 @@ class _Pixels:
         return turn(self.frames[channel.part].place(pixels), self.orientation)
 
     def stored(self, channel: Channel, is_halved: bool = False) -> np.ndarray:
-        """Return the numbers of a channel; is_halved: every second row and column may be there."""
+        """Return the numbers of a channel; is_halved: it may have every second row and column."""
         # OpenEXR does not find all parts and channels that it lists
         held = self.read[channel.part] if channel.part < len(self.read) else {}
-        pixels = getattr(held.get(channel.name), "pixels", None)
+        found = held.get(channel.name)
+        pixels = getattr(found, "pixels", None)
         wanted = self.parts[channel.part].size
-        if pixels is not None and pixels.ndim == 2:
-            sizes = zip(pixels.shape, wanted, strict=True)
-            if all(one == size or (is_halved and one == (size + 1) // 2) for one, size in sizes):
+        steps = (getattr(found, "ySampling", 0), getattr(found, "xSampling", 0))
+        if pixels is not None and {*steps} <= ({1, 2} if is_halved else {1}):
+            # modules before OpenEXR 3.5.3 return arrays of the full size, whose numbers are wrong
+            if pixels.shape == tuple(-(-n // step) for n, step in zip(wanted, steps, strict=True)):
                 return pixels
         self.refuse(channel, f"subsampled or damaged, wanted {wanted[1]} x {wanted[0]} pixels")
 
