@@ -29,6 +29,7 @@ import numpy as np
 import picture_mutations
 
 from gpusim.apps.l3.layout import layout
+from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.memory import require_memory
@@ -39,6 +40,7 @@ from gpusim.io.camera.noise_profile import read_noise_profile
 from gpusim.io.camera.psf import read_psf
 from gpusim.io.camera.zemax import read_zemax_psf
 from gpusim.io.exr import write_rgb_exr, write_spectral_exr
+from gpusim.io.frame.icc import icc_profile
 from gpusim.io.scene.scenes import open_scene
 
 SEEDS = (1, 2, 3)  # of the kept runs
@@ -219,6 +221,9 @@ def good_pictures(reader, folder):
             ),
             lambda: write_rgb_exr(path, random.random((7, 9, 3))),
             lambda: write_foreign_exr(path, random),
+            lambda: write_layers_exr(path, random),
+            lambda: write_chroma_exr(path, random),
+            lambda: write_parts_exr(path, random),
         ):
             write()
             found.append(path.read_bytes())
@@ -237,6 +242,14 @@ def good_pictures(reader, folder):
         saved(Image.fromarray(rgb), format="JPEG", exif=exif)
         saved(Image.fromarray(rgb), format="JPEG", progressive=True, subsampling=0)
         saved(Image.fromarray(rgb[..., 0]), format="JPEG")
+        exif.get_ifd(0x8769)[0xA001] = 65535
+        exif.get_ifd(0x8769)[0xA005] = {1: "R03"}
+        profile = icc_profile(DISPLAYS["display-p3"])
+        saved(Image.fromarray(rgb), format="JPEG", exif=exif.tobytes())
+        saved(Image.fromarray(rgb), format="JPEG", icc_profile=profile)
+        saved(
+            Image.fromarray(rgb), format="MPO", save_all=True, append_images=[Image.fromarray(rgb)]
+        )
         return found
     for image in (
         Image.fromarray(rgb),
@@ -260,6 +273,13 @@ def good_pictures(reader, folder):
                 ]
             )
         )
+        for tag in colour_chunks(DISPLAYS["display-p3"])[: 6 if colour == 2 else 4]:
+            head, *rest = (
+                (b"IHDR", struct.pack(">IIBBBBB", 9, 7, 16, colour, 0, 0, 0)),
+                (b"IDAT", zlib.compress(lines)),
+                (b"IEND", b""),
+            )
+            found.append(picture_mutations.png_of([head, tag, *rest]))
     return found
 
 
@@ -276,6 +296,67 @@ def write_foreign_exr(path, random):
     OpenEXR.File(header, {name: random.random((7, 9), np.float32) for name in names}).write(
         str(path)
     )
+
+
+def write_layers_exr(path, random):
+    """Two views and passes in a crop, with the attributes that a reader uses."""
+    import OpenEXR
+
+    names = [f"{view}{letter}" for view in ("", "right.") for letter in "RGBAZ"]
+    names += [f"N.Combined.{letter}" for letter in "RGB"] + ["IndexOB.X", "CryptoObject00.r"]
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "multiView": ["left", "right"],
+        "whiteLuminance": 200.0,
+        "colorInteropID": "lin_ap1_scene",
+        "adoptedNeutral": np.array([0.3, 0.3], np.float32),
+        "Orientation": 6,
+        "dataWindow": (np.array([2, 1], np.int32), np.array([10, 7], np.int32)),
+        "displayWindow": (np.array([0, 0], np.int32), np.array([11, 6], np.int32)),
+    }
+    planes = {name: random.random((7, 9), np.float32) for name in names}
+    OpenEXR.File(header, planes | {"IndexOB.X": np.ones((7, 9), np.float32)}).write(str(path))
+
+
+def write_chroma_exr(path, random):
+    """Luminance and chroma of all pixels, of an environment of longitudes and latitudes."""
+    import OpenEXR
+
+    header = {
+        "compression": OpenEXR.ZIP_COMPRESSION,
+        "type": OpenEXR.scanlineimage,
+        "envmap": OpenEXR.ENVMAP_LATLONG,
+    }
+    OpenEXR.File(
+        header, {name: random.random((6, 8), np.float32) / 4 for name in ("Y", "RY", "BY")}
+    ).write(str(path))
+
+
+def write_parts_exr(path, random):
+    """Four parts: a picture and its distances in two views."""
+    import OpenEXR
+
+    parts = []
+    for view in ("left", "right"):
+        for name, channels in (("rgba", "RGB"), ("depth", "Z")):
+            header = {"type": OpenEXR.scanlineimage, "view": view}
+            planes = {channel: 1 + random.random((7, 9), np.float32) for channel in channels}
+            parts.append(OpenEXR.Part(header, planes, f"{name}.{view}"))
+    OpenEXR.File(parts).write(str(path))
+
+
+def colour_chunks(display):
+    """Chunks of a PNG that say its colours."""
+    profile = b"profile\0\0" + zlib.compress(icc_profile(display))
+    return [
+        (b"cICP", bytes([9, 16, 0, 0])),
+        (b"iCCP", profile),
+        (b"gAMA", struct.pack(">I", 45455)),
+        (b"cHRM", struct.pack(">8I", 31270, 32900, 70800, 29200, 17000, 79700, 13100, 4600)),
+        (b"tRNS", bytes(6)),
+        (b"pHYs", struct.pack(">IIB", 2, 1, 0)),
+    ]
 
 
 def good_tiffs(reader, random):
@@ -295,6 +376,14 @@ def good_tiffs(reader, random):
             saved(planes, photometric="minisblack", compression="zlib"),
             saved(rgb, photometric="minisblack", planarconfig="contig"),
             saved(planes / 65536, photometric="minisblack", planarconfig="separate"),
+            saved(
+                (planes // 4).astype(np.int16),
+                photometric="minisblack",
+                extratags=[
+                    (42112, "s", 0, '<Item sample="0" role="scale">0.0001</Item>', False),
+                    (42113, "s", 0, "-9999", False),
+                ],
+            ),
         ]
     return [
         saved(
@@ -305,6 +394,9 @@ def good_tiffs(reader, random):
         saved(rgb[..., 0].astype(np.uint8), photometric="miniswhite", tile=(16, 16)),
         saved(rgb.astype(np.float32), photometric="rgb", compression="zlib", predictor=3),
         saved(np.dstack([rgb, rgb[..., :1]]), photometric="rgb", extrasamples=["unassalpha"]),
+        saved((rgb // 256).astype(np.uint8), photometric="rgb", compression="jpeg"),
+        saved(rgb.astype(np.uint32) * 65536, photometric="rgb", compression="zstd"),
+        saved(rgb, photometric="rgb", iccprofile=icc_profile(DISPLAYS["display-p3"])),
     ]
 
 

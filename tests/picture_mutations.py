@@ -50,6 +50,7 @@ def png(data: bytes, random) -> bytes:
                     b"fcTL",
                     b"fdAT",
                     b"cHRM",
+                    b"cICP",
                     b"pHYs",
                     b"sRGB",
                     b"QQQQ",
@@ -212,6 +213,13 @@ def tiff(data: bytes, random) -> bytes:
 
 
 NAMES = (
+    b"RY",
+    b"BY",
+    b"right.R",
+    b"left.right.G",
+    b"Combined.B",
+    b".",
+    b"..R",
     b"R",
     b"G",
     b"B",
@@ -242,6 +250,8 @@ NAMES = (
 
 def exr(data: bytes, random) -> bytes:
     """An OpenEXR file whose header says something else; the offsets of its lines follow the header's length."""
+    if data[5] & 0x10:  # several parts
+        return _other_parts(data, random)
     attributes, at = [], 8
     while data[at : at + 1] != b"\0":
         name, kind, rest = data[at:].split(b"\0", 2)
@@ -293,6 +303,33 @@ def exr(data: bytes, random) -> bytes:
     )
     table = struct.pack(f"<{lines}Q", *(offset + len(header) + 8 - at - 1 for offset in offsets))
     return data[:8] + header + table + data[at + 1 + 8 * lines :]
+
+
+def _other_parts(data, random):
+    """Other values, names or types in the headers of several parts, of the same lengths."""
+    changed = bytearray(data)
+    places = [
+        (at, word)
+        for word in (
+            b"dataWindow\0",
+            b"displayWindow\0",
+            b"view\0",
+            b"name\0",
+            b"chlist\0",
+            b"left",
+            b"rgba",
+        )
+        for at in range(len(data))
+        if data.startswith(word, at)
+    ]
+    for _ in range(int(random.integers(1, 4))):
+        at, word = pick(random, places)
+        start = at + len(word) + int(random.integers(0, 24)) if random.random() < 0.7 else at
+        number = pick(random, (*WORDS, 1, 2, 3, 7, 8, 9))
+        for place in range(start, min(start + int(random.integers(1, 5)), len(data))):
+            changed[place] = number % 256
+            number //= 256
+    return bytes(changed)
 
 
 def _channels(attribute, random):

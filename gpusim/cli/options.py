@@ -15,13 +15,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from gpusim.domain.account import SHOWN
-from gpusim.domain.errors import BadFile, Conflict, OutOfRange
+from gpusim.domain.errors import LONGEST_PATH, BadFile, Conflict, OutOfRange, one_line
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.camera import Camera
     from gpusim.domain.scene import Scene
     from gpusim.pipeline.simulator import Simulator
 
+PANORAMIC = (".exr", ".npz")  # files that may say that they are panoramas
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
 SCENE_HELP = (
     "a chart (colorchecker, slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: "
@@ -406,10 +407,14 @@ class Request(Options):
         settings = {part: getattr(self, part) for part in names}
         settings["bands"] = dict(_channel(text) for text in settings.pop("band"))
         size = settings.get("size")
-        if settings.get("projection") == PANORAMA:
+        name = self.scene if name is None else name
+        may_be_panorama = Path(name).suffix.lower() in PANORAMIC
+        if settings.get("projection") == PANORAMA or may_be_panorama:
             settings["size"] = None
-        scene = open_scene(self.scene if name is None else name, **(settings | changes))
+        scene = open_scene(name, **(settings | changes))
         if scene.projection != PANORAMA:
+            if may_be_panorama and size is not None:
+                self.refuse("size", f"{one_line(name, LONGEST_PATH)} has its own size")
             return scene
         return view_panorama(scene, self.open_camera(), size=size)
 

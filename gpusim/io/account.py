@@ -23,8 +23,8 @@ class Fields:
     """
 
     def __init__(self, fields: Mapping[str, Any] | Iterable[str], what: str = "not used"):
-        is_mapping = isinstance(fields, Mapping)
-        self._values = dict(fields) if is_mapping else {name: name for name in fields}
+        values = fields if isinstance(fields, Mapping) else {name: name for name in fields}
+        self._values: dict[str, Any] = dict(values)
         self._what, self._done = what, set[str]()
 
     def __contains__(self, name: str) -> bool:

@@ -33,6 +33,7 @@ from gpusim.io.orientation import turn
 UNITS = "W.m^-2.sr^-1.nm^-1"
 SRGB = np.array((*DISPLAYS["srgb"].primaries, DISPLAYS["srgb"].white))
 PLANES_OF_COLORS = 9  # extra planes held during the conversion to sRGB
+SPECTRA = 2 * 43 * 8  # [byte] a pixel of a line, whose spectra are checked
 OUTSIDE = (
     "colours outside sRGB, which have no reflectance here: {:.2g} % of the samples, moved towards grey of "
     "the same luminance until they fit"
@@ -112,7 +113,7 @@ def read_exr(
     # Every channel of every part is read, at worst as 4-byte numbers; the cube is a copy.
     stored = sum(len(one.channels) * math.prod(one.size) for one in parts)
     copied = len(used) + (PLANES_OF_COLORS if held.is_picture else 1)
-    needed = 4 * (stored + copied * rows * cols)
+    needed = 4 * (stored + copied * rows * cols) + SPECTRA * held.is_picture * max(rows, cols)
     rows, cols = max(home.shape, *(one.size for one in parts), key=math.prod)
     require_memory(f"{path}: {len(channels)} channels of {cols} x {rows} pixels", needed)
     pixels = _Pixels(path, parts, _read(path), frames, attributes.orientation())
@@ -188,14 +189,16 @@ class _Pixels:
         return turn(self.frames[channel.part].place(pixels), self.orientation)
 
     def stored(self, channel: Channel, is_halved: bool = False) -> np.ndarray:
-        """Return the numbers of a channel; is_halved: every second row and column may be there."""
+        """Return the numbers of a channel; is_halved: it may have every second row and column."""
         # OpenEXR does not find all parts and channels that it lists
         held = self.read[channel.part] if channel.part < len(self.read) else {}
-        pixels = getattr(held.get(channel.name), "pixels", None)
+        found = held.get(channel.name)
+        pixels = getattr(found, "pixels", None)
         wanted = self.parts[channel.part].size
-        if pixels is not None and pixels.ndim == 2:
-            sizes = zip(pixels.shape, wanted, strict=True)
-            if all(one == size or (is_halved and one == (size + 1) // 2) for one, size in sizes):
+        steps = (getattr(found, "ySampling", 0), getattr(found, "xSampling", 0))
+        if pixels is not None and {*steps} <= ({1, 2} if is_halved else {1}):
+            # modules before OpenEXR 3.5.3 return arrays of the full size, whose numbers are wrong
+            if pixels.shape == tuple(-(-n // step) for n, step in zip(wanted, steps, strict=True)):
                 return pixels
         self.refuse(channel, f"subsampled or damaged, wanted {wanted[1]} x {wanted[0]} pixels")
 
@@ -258,9 +261,10 @@ def _picture(held: Contents, pixels: _Pixels, attributes: Attributes):
         matrix = srgb_from_rgb(chromaticities)
     if held.kind == "yc":
         primaries = SRGB if chromaticities is None else chromaticities
-        planes = rgb_from_chroma(*(pixels.finite(one, True) for one in channels), primaries)
+        luminance, red, blue = (pixels.finite(one, True) for one in channels)
+        planes = list(rgb_from_chroma(luminance, red, blue, primaries))
     else:
-        planes = (pixels.finite(one) for one in channels)
+        planes = [pixels.finite(one) for one in channels]
     frame = pixels.frames[channels[0].part]
     values = np.empty((len(channels), *pixels.shape_of(frame)), np.float32)
     for plane, one, found in zip(values, channels, planes, strict=True):

@@ -7,7 +7,7 @@ OpenEXR", "Standard Attributes"; names of attributes as renderers and OpenImageI
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -94,7 +94,7 @@ class Part:
             windows.append((top, left, bottom + 1, right + 1))
         names = tuple(channel.name for channel in header["channels"])
         aspect = float(header["pixelAspectRatio"])
-        return cls(number, name, view, views, aspect, *windows, names, header)
+        return cls(number, name, view, views, aspect, windows[0], windows[1], names, header)
 
     @property
     def size(self) -> tuple[int, int]:
@@ -132,6 +132,8 @@ def choose_view(
     without a view belongs to all. view: name, or None for the first. Raises UnknownName.
     """
     listed = parts[0].views
+    if not listed and not any(part.view for part in parts) and len(parts) > 1:
+        parts = [replace(part, view=_stereo(part.name)) for part in parts]
     marked = {*listed, *(part.view for part in parts if part.view)}
     found = [
         (part, name, *_split(name, marked or set(STEREO)))
@@ -162,6 +164,12 @@ def choose_view(
         key=lambda one: one[1] == one[2],
     )
     return _in_layers(own_first, chosen), chosen, tuple(one for one in views if one != chosen)
+
+
+def _stereo(name: str) -> str:
+    """Return the view, left or right, that a part's name begins or ends with; "" is none."""
+    words = re.split(r"[._ ]", name)
+    return next((word for word in (words[-1], words[0]) if word in STEREO), "")
 
 
 def _is_seen(own, name, chosen, first, is_first_plain):
@@ -286,7 +294,7 @@ def note_parts(parts: list[Part], used: set[int], views: tuple[str, ...], view: 
     others = [
         one.name or str(one.number)
         for one in parts
-        if one.number not in used and one.view not in views
+        if one.number not in used and (one.view or _stereo(one.name)) not in views
     ]
     shown = f"view {view!r} is used; not used" if view else "views not used"
     return [*note_of("parts not used", others), *note_of(shown, views)]
@@ -304,8 +312,8 @@ class Attributes(Fields):
         self.path = path
         self.ignore(*STRUCTURE, *MAKING)
         # the projection of a renderer, which says nothing at its default
-        for name, default in (("screenWindowCenter", (0, 0)), ("screenWindowWidth", 1)):
-            if np.array_equal(merged.get(name), np.float32(default)):
+        for name, default in (("screenWindowCenter", [0, 0]), ("screenWindowWidth", [1])):
+            if np.array_equal(np.ravel(merged.get(name, ())), default):
                 self.ignore(name)
 
     def chromaticities(self):

@@ -102,6 +102,20 @@ def _chunks(path, data):
         place += length + 12
 
 
+def without_profile(data: bytes) -> bytes:
+    """Return a PNG without its colour profile, of which Pillow accepts no more than 1 MiB."""
+    place = len(SIGNATURE)
+    while data.startswith(SIGNATURE) and place + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, place)
+        end = place + 12 + length
+        if kind == b"iCCP":
+            return data[:place] + data[end:]
+        if kind == b"IDAT":
+            break
+        place = end
+    return data
+
+
 def png(header: Header, packed: bytes, chunks: dict | None = None) -> bytes:
     """Return a PNG of these compressed lines; chunks: {kind: body} of chunks before them."""
     start = struct.pack(

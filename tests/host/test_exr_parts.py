@@ -283,6 +283,8 @@ def stereo(style):
                 both | {"ViewLayer.Depth.left.Z": plane(1), "ViewLayer.Depth.right.Z": plane(2)},
             )
         ], at
+    if style == "names of parts":
+        return [({"name": view}, at[view] | {"Z": plane(n)}) for n, view in enumerate(at, 1)], at
     return [
         ({"name": f"{name}.{view}", "view": view}, channels)
         for view, distance in (("left", 1), ("right", 2))
@@ -290,7 +292,7 @@ def stereo(style):
     ], at
 
 
-@pytest.mark.parametrize("style", ["multiView", "prefixes", "blender", "parts"])
+@pytest.mark.parametrize("style", ["multiView", "prefixes", "blender", "parts", "names of parts"])
 def test_views(tmp_path, style):
     parts, at = stereo(style)
     write(tmp_path / "a.exr", *parts)

@@ -127,6 +127,13 @@ def test_profiles_as_littlecms_applies_them(tmp_path, name, kind):
     assert not [note for note in scene.notes if "colours outside" not in note]
 
 
+def test_a_large_profile(tmp_path):
+    """Of 3 MB, as of printers and scanners; Pillow refuses one of more than 1 MiB."""
+    profile = profiles()["adobe"] + bytes(3 * 10**6)
+    found = colours(opened(tmp_path, png(CODES, iccp(profile))))
+    np.testing.assert_allclose(found, by_littlecms(CODES, profiles()["adobe"]), atol=6e-4)
+
+
 def test_white_and_black_of_a_profile_stay(tmp_path):
     for name, profile in profiles().items():
         codes = np.zeros((2, 4, 3), np.uint8)

@@ -116,7 +116,7 @@ def adobe_rgb() -> Coding:
     return by_gamma(ADOBE_GAMMA, ADOBE_RGB)
 
 
-def by_h273(primaries: int, transfer: int, matrix: int, full_range: int, most: int) -> Coding:
+def by_h273(most: int, primaries: int, transfer: int, matrix: int, full_range: int) -> Coding:
     """Return the coding of four code points. most: largest code. Raises BadData for unknown ones."""
     if primaries not in PRIMARIES or matrix != 0 or full_range not in (0, 1):
         raise BadData(f"code points {primaries}, {transfer}, {matrix}, {full_range}")
@@ -236,10 +236,10 @@ def _curve(tag: bytes) -> Curve:
         a, b, c, d, e, f = a, b, 0.0, -b / a, c, c
     _require_gamma(g)
 
-    def light(codes):
+    def parametric(codes):
         return np.where(codes >= d, np.maximum(a * codes + b, 0) ** g + e, c * codes + f)
 
-    return light
+    return parametric
 
 
 def _power(exponent: float) -> Curve:
@@ -298,7 +298,7 @@ def coding_of(path, tags: Mapping[str, Any], is_grey: bool, most: int) -> Coding
     """
     notes: list[str] = []
     makers: dict[str, Callable[[], Coding]] = {
-        "cICP": lambda: by_h273(*tags["cICP"], most),
+        "cICP": lambda: by_h273(most, *tags["cICP"]),
         "icc": lambda: by_profile(path, tags["icc"], is_grey),
         "sRGB": Coding,
         "gAMA": lambda: by_gamma(1 / _require_inside("gAMA", tags["gAMA"]), tags.get("cHRM")),

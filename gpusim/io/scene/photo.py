@@ -18,7 +18,7 @@ from gpusim.io.account import Fields, note_resolution
 from gpusim.io.exr import OUTSIDE
 from gpusim.io.files import file_size, name_in_errors, open_file, reading
 from gpusim.io.orientation import turn
-from gpusim.io.png import png, read_lines
+from gpusim.io.png import png, read_lines, without_profile
 from gpusim.io.scene.coding import LINEAR, Coding, chunk_tags, coding_of, colour_space
 from gpusim.io.scene.tiff import SUFFIXES as TIFF
 from gpusim.io.scene.tiff import read_picture
@@ -161,7 +161,7 @@ def open_photo(path, part: int | str | None = None) -> Photograph:
         require_memory(f"{path}: a file", file_size(file))
         data = file.read()
         try:
-            image = Image.open(io.BytesIO(data), formats=("PNG", "JPEG"))
+            image = Image.open(io.BytesIO(without_profile(data)), formats=("PNG", "JPEG"))
         except Image.DecompressionBombError as error:
             raise BadFile(path, f"too large: {error}") from error
         cols, rows = image.size

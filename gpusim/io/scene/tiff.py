@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadFile, UnknownName
+from gpusim.domain.errors import BadFile, format_value
 from gpusim.domain.memory import require_memory
 from gpusim.io.account import Fields, note_of, note_resolution
 from gpusim.io.files import file_size, open_file, reading, silence
@@ -30,7 +30,14 @@ FLOATING = 3  # predictor
 RATIOS = {1: 1, LZW: 2731, 8: 1032, 32946: 1032, 32773: 64, JPEG: 6144, ZSTD: 32768}
 UNSIGNED, SIGNED = ("uint8", "uint16", "uint32"), ("int8", "int16", "int32")
 TYPES = (*UNSIGNED, *SIGNED, "float16", "float32", "float64")
-WHITE_IS_ZERO, BLACK_IS_ZERO, RGB, YCBCR = 0, 1, 2, 6  # photometric interpretations
+WHITE_IS_ZERO, BLACK_IS_ZERO, RGB, PALETTE, YCBCR, MOSAIC = (
+    0,
+    1,
+    2,
+    3,
+    6,
+    32803,
+)  # photometric interpretations
 # tags of the file's structure, those that are used, and those that say nothing about the light
 IDLE_TAGS = (
     "NewSubfileType SubfileType ImageWidth ImageLength BitsPerSample Compression "
@@ -42,7 +49,8 @@ IDLE_TAGS = (
     "SampleFormat JPEGTables YCbCrCoefficients YCbCrSubSampling YCbCrPositioning ReferenceBlackWhite "
     "InterColorProfile XMP IPTCNewsPhoto ImageResources ImageSourceData PhotoshopINFO Copyright "
     "ExifTag GPSTag InteroperabilityTag ImageID IJMetadata IJMetadataByteCounts GDAL_METADATA "
-    "GDAL_NODATA Model*Tag Geo*Tag ImageJ* JPEG* Rating* Lerc* UniqueCameraModel XP* Padding"
+    "GDAL_NODATA WhitePoint PrimaryChromaticities Model*Tag Geo*Tag ImageJ* JPEG* Rating* Lerc* "
+    "UniqueCameraModel XP* Padding"
 ).split()
 ITEM = re.compile(r"<Item\b([^<>]*)>([^<>]*)</Item>")  # of GDAL's metadata
 LONGEST_METADATA = 2**20
@@ -91,6 +99,9 @@ def read_stack(path, count: int, scale: float | None = None) -> tuple[np.ndarray
             if page.shape[1:] != first.shape[1:] or page.dtype != first.dtype:
                 why = f"pages of {_describe(first)} and of {_describe(page)}; wanted equal planes"
                 raise BadFile(path, why)
+            if page.photometric in (PALETTE, MOSAIC) or page.orientation != first.orientation:
+                why = f"{page.source.photometric!r}, orientation {page.orientation}"
+                raise BadFile(path, f"{why}; wanted planes of light, all turned alike")
         has_gains = all(page.gains is not None for page in pages)
         if scale is None and not has_gains:
             if first.dtype.kind == "i" or (first.dtype.itemsize > 2 and first.dtype.kind == "u"):
@@ -98,17 +109,23 @@ def read_stack(path, count: int, scale: float | None = None) -> tuple[np.ndarray
             scale = float(np.iinfo(first.dtype).max) if first.dtype.kind == "u" else 1.0
         rows, cols = first.shape[1:]
         largest = max(math.prod(page.shape) for page in pages) * first.dtype.itemsize
-        needed = 4 * count * rows * cols + stored + COPIES * largest
+        copies = 1 if first.orientation == 1 else 2
+        needed = copies * 4 * count * rows * cols + stored + COPIES * largest
         require_memory(f"{path}: {count} planes of {cols} x {rows} pixels", needed)
         values, start, without = np.empty((count, rows, cols), np.float32), 0, 0
         for page in pages:
             for number, plane in enumerate(_pixels(path, page)):
+                if page.photometric == WHITE_IS_ZERO and page.dtype.kind == "u":
+                    plane = np.iinfo(page.dtype).max - plane
                 with np.errstate(over="ignore", invalid="ignore"):  # infinite values are refused
                     without += _convert(plane, values[start], page, number, scale)
                 start += 1
     notes += note_of("tags not used", dict.fromkeys(note for page in pages for note in page.notes))
     if without:
         notes.append(f"no data in {100 * without / values.size:.2g} % of the numbers: dark")
+    if first.orientation != 1:
+        turned = turn(np.moveaxis(values, 0, -1), first.orientation)
+        values = np.ascontiguousarray(np.moveaxis(turned, -1, 0))
     return values, notes + cut_noise(path, values)
 
 
@@ -138,7 +155,7 @@ def read_picture(path, part: int | str | None = None) -> tuple[np.ndarray, dict,
 
     Channels are as in `read_samples`; tags are for `coding_of`. It is turned to its orientation. A
     premultiplied alpha is left out, because its background is dark already. part: number of the
-    page, from 0. Raises BadFile, UnknownName, DoesNotFit.
+    page, from 0. Raises BadFile, DoesNotFit.
     """
     with _open_pages(path) as (pages, stored, notes):
         page = _choose(path, pages, part)
@@ -194,9 +211,9 @@ def _resolution(page) -> list[str]:
 def _choose(path, pages, part):
     """Return the page of a number, or the only page."""
     if part is not None:
-        known = [str(number) for number in range(len(pages))]
-        if str(part) not in known:
-            raise UnknownName(f"page of {path}", str(part), known)
+        if str(part) not in map(str, range(len(pages))):
+            why = f"part = {format_value(part)}: wanted a page of 0 .. {len(pages) - 1}"
+            raise BadFile(path, why)
         return pages[int(part)]
     if len(pages) > 1:
         raise BadFile(
@@ -209,7 +226,7 @@ def _choose(path, pages, part):
 
 def _colour_tags(page) -> dict:
     """Return the tags of a page for `coding_of`."""
-    tags = {}
+    tags: dict[str, Any] = {}
     if page.iccprofile:
         tags["icc"] = bytes(page.iccprofile)
     white, primaries = (page.tags.valueof(name) for name in ("WhitePoint", "PrimaryChromaticities"))
