@@ -91,6 +91,7 @@ HALF_PIXEL = "the principal point is moved by half a pixel: its program has (0.5
 ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # OpenCV's
 RADIAL = ("k1", "k2", "k3", "k4")
 COEFFICIENT = re.compile(r"(k|p|s|t|tau_?)_?\w?\d?$")
+DEEPEST = 3  # lists in lists, as json.dump writes NumPy's arrays of shape (1, 1, n)
 ALIKE, MOST_LETTERS = 0.8, 2  # of two names; letters that a misspelt name may have more or fewer
 
 
@@ -463,8 +464,9 @@ def _flat(value, key):
             raise BadData(f"{key}: lacks data, its numbers")
         value = value["data"]
     value = [] if value is None else value
-    while type(value) is list and value and all(type(item) is list for item in value):
-        value = [item for row in value for item in row]
+    for _ in range(DEEPEST):  # YAML has lists that contain themselves
+        if type(value) is list and value and all(type(item) is list for item in value):
+            value = [item for row in value for item in row]
     if type(value) is not list or not all(
         type(item) in (int, float) and abs(item) < 1e300 for item in value
     ):
