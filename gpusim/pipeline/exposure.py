@@ -559,7 +559,9 @@ class _Shot(Parts):
             notes.append(
                 f"the scene's light is unknown: colours are rendered for {processor.target}{white}"
             )
-        notes += (*plan.scene.notes, *self.exposure.camera.notes)
+        camera = self.exposure.camera
+        lens = getattr(camera.optics.distortion, "notes", ())
+        notes += (*plan.scene.notes, *dict.fromkeys((*camera.notes, *lens)))
         if plan.planned_for:
             notes.append(
                 f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "

@@ -343,6 +343,26 @@ def test_intrinsics_of_realsense(tmp_path):
         )
 
 
+def test_settings_of_orb_slam(tmp_path):
+    points = rays()
+    place = f"Camera1.fx: {FX}\nCamera1.fy: {FY}\nCamera1.cx: {CX}\nCamera1.cy: {CY}\n"
+    size = f"Camera.width: {SIZE[0]}\nCamera.height: {SIZE[1]}\nCamera.fps: 20\nORBextractor.nFeatures: 1000\n"
+    start = '%YAML:1.0\n\nFile.version: "1.0"\n\n'
+    for name, order, numbers, fisheye in (
+        ("PinHole", ("k1", "k2", "p1", "p2", "k3"), FIVE, False),
+        ("KannalaBrandt8", ("k1", "k2", "k3", "k4"), FISHEYE, True),
+    ):
+        more = "".join(
+            f"Camera1.{key}: {value}\n" for key, value in zip(order, numbers, strict=True)
+        )
+        text = f'{start}Camera.type: "{name}"\n\n{place}{more}{size}'
+        for one in (text, text.replace("Camera1.", "Camera.")):
+            judge = by_opencv(points, numbers, fisheye)
+            assert np.abs(pixels(read(tmp_path, one), points) - judge).max() < CLOSE
+    with refused("'k9'", "unknown", error=BadFile):
+        read(tmp_path, text.replace("Camera1.k4", "Camera1.k9"))
+
+
 COLMAP = {
     "SIMPLE_PINHOLE": ((FX, CX, CY), False, ()),
     "PINHOLE": ((FX, FY, CX, CY), False, ()),

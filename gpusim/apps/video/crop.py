@@ -37,7 +37,7 @@ def read_crop(file: BinaryIO, track: int, cols: int, rows: int) -> Crop:
     file.seek(0)
     try:
         found = _matroska(file, track) if start == MATROSKA else _mp4(file, track, cols, rows)
-    except (struct.error, IndexError, ValueError, ZeroDivisionError):
+    except (struct.error, IndexError, ValueError, ZeroDivisionError, StopIteration):
         return Crop()
     is_inside = min(found) >= 0 and found.left + found.right < cols
     return found if is_inside and found.top + found.bottom < rows else Crop()

@@ -22,8 +22,8 @@ MODELS = dict.fromkeys(
     PINHOLE,
 )
 MODELS |= dict.fromkeys(
-    "equidistant equi fisheye kannala_brandt kannala_brandt4 kannalabrandt4 kb4 opencv_fisheye "
-    "pinhole_equi".split(),
+    "equidistant equi fisheye kannala_brandt kannala_brandt4 kannalabrandt4 kannalabrandt8 kb4 "
+    "opencv_fisheye pinhole_equi".split(),
     FISHEYE,
 )
 MODELS |= dict.fromkeys(["none", "", "simple_pinhole", "inverse_brown_conrady"], NO_DISTORTION)
@@ -73,7 +73,20 @@ IGNORED = (
         "name",
     ),
     *("sensor_type", "rate_hz", "id", "rms", "date", "aabb_scale", "frames", "ply_file_path"),
-    *("aspectRatio", "fisheye_model", "camera_angle_*", "type_id", "is_fisheye", "calib_*"),
+    *(
+        "fps",
+        "RGB",
+        "newWidth",
+        "newHeight",
+        "bf",
+        "bFishEye",
+        "aspectRatio",
+        "fisheye_model",
+        "camera_angle_*",
+        "type_id",
+        "is_fisheye",
+        "calib_*",
+    ),
 )
 # Parameters of COLMAP's models; f is both focal lengths
 COLMAP = {
@@ -101,8 +114,8 @@ def read_calibration(path: str | PathLike, camera: str | None = None) -> Calibra
     ROS: the `camera_info` file of camera_calibration (.yaml, .ini) or a printed
     sensor_msgs/CameraInfo. OpenCV: files of cv2.FileStorage and its calibration samples, in YAML,
     JSON or XML. Kalibr: a camchain (pinhole-radtan, pinhole-equi). Basalt (pinhole, radtan8, kb4),
-    camodocal (PINHOLE, KANNALA_BRANDT), RealSense's intrinsics, COLMAP's cameras.txt and
-    nerfstudio's transforms.json.
+    camodocal (PINHOLE, KANNALA_BRANDT), ORB-SLAM's settings, RealSense's intrinsics, COLMAP's
+    cameras.txt and nerfstudio's transforms.json.
 
     Args:
         path: file to read.
@@ -130,6 +143,9 @@ def _cameras(table) -> Mapping[Any, dict]:
         return _basalt(table["value0"])
     if _is_camera(table):
         return {"cam0": table}
+    slam = _orb_slam(table)
+    if slam:
+        return slam
     return {key: one for key, one in table.items() if _is_camera(one)} or {"cam0": table}
 
 
@@ -137,6 +153,23 @@ def _is_camera(table):
     """Return whether a table has the parameters of one camera."""
     known = {"intrinsics", "projection_parameters", "ppx", "fl_x", "camera_angle_x", *MATRIX}
     return type(table) is dict and not known.isdisjoint(table)
+
+
+def _orb_slam(table):
+    """Return the cameras of a settings file of ORB-SLAM: Camera.fx, or Camera1.fx and Camera2.fx."""
+    parts: dict[str, dict] = {}
+    for key, value in table.items():
+        name, dot, rest = str(key).partition(".")
+        if dot and name.rstrip("12") == "Camera":
+            parts.setdefault(name, {})[rest] = value
+    common = parts.get("Camera", {})
+    found = {name: {**common, **part} for name, part in parts.items() if "fx" in part}
+    for part in found.values():
+        place = ("fx", "fy", "cx", "cy")
+        names = [key for key in part if key in place or COEFFICIENT.fullmatch(key)]
+        part["intrinsics"] = {key: part.pop(key) for key in names}
+        part["camera_type"] = part.pop("type", "pinhole")
+    return found
 
 
 def _basalt(table):
@@ -216,9 +249,9 @@ def _missing(fields, *names):
 
 
 def _kalibr(fields):
-    """Return the calibration of one camera of Kalibr or Basalt."""
+    """Return the calibration of one camera of Kalibr, Basalt or ORB-SLAM."""
     intrinsics = fields.take("intrinsics")
-    if type(intrinsics) is dict:  # Basalt
+    if type(intrinsics) is dict:  # of Basalt or ORB-SLAM
         parts = Fields(intrinsics)
         found = [_number(_require(parts, key), key) for key in ("fx", "fy", "cx", "cy")]
         is_fisheye = _model(fields) == FISHEYE
