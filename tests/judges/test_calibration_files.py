@@ -481,6 +481,23 @@ def test_misspelt_keys_are_refused_with_the_nearest_name(text, parts, tmp_path):
         read(tmp_path, text)
 
 
+def test_coefficients_without_a_model(tmp_path):
+    """Four numbers may be of both models: Kalibr's are refused, OpenCV's are its pinhole's, with a note."""
+    text = chain("pinhole", "radtan", FIVE[:4]).replace("  distortion_model: radtan\n", "")
+    with refused("lacks distortion_model", error=BadFile):
+        read(tmp_path, text)
+    table = {"camera_matrix": matrix().tolist(), "dist_coeff": [[*FIVE]], "image_size": [*SIZE]}
+    place = dict(fx=FX, fy=FY, cx=CX, cy=CY, width=SIZE[0], height=SIZE[1])
+    flat = place | dict(zip(("k1", "k2", "p1", "p2", "k3"), FIVE, strict=True))
+    points = rays()
+    for one in (table, flat):
+        made = read(tmp_path, json.dumps(one), "a.json")
+        assert np.abs(pixels(made, points) - by_opencv(points, FIVE)).max() < CLOSE
+        assert any("no model is named" in note for note in made.notes)
+    with refused("'k7'", "unknown", error=BadFile):
+        read(tmp_path, json.dumps(flat | {"k7": 0.1}), "a.json")
+
+
 def test_notes_of_a_calibration_are_in_the_report(tmp_path):
     (tmp_path / "info.yaml").write_text(
         info("plumb_bob", FIVE, more="new_camera_matrix: 3\nexposure: 2\n")

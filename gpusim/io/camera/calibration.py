@@ -100,9 +100,13 @@ COLMAP = {
     "RADIAL_FISHEYE": "f cx cy k1 k2",
     "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
 }
+NO_MODEL = (
+    "no model is named: the coefficients are taken as k1 k2 p1 p2 ... of OpenCV's pinhole model"
+)
 HALF_PIXEL = "the principal point is moved by half a pixel: its program has (0.5, 0.5) in the middle of the first pixel"
 ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # OpenCV's
 RADIAL = ("k1", "k2", "k3", "k4")
+PLACE = ("fx", "fy", "cx", "cy")
 COEFFICIENT = re.compile(r"(k|p|s|t|tau_?)_?\w?\d?$")
 DEEPEST = 3  # lists in lists, as json.dump writes NumPy's arrays of shape (1, 1, n)
 ALIKE, MOST_LETTERS = 0.8, 2  # of two names; letters that a misspelt name may have more or fewer
@@ -143,6 +147,8 @@ def _cameras(table) -> Mapping[Any, dict]:
         return _basalt(table["value0"])
     if _is_camera(table):
         return {"cam0": table}
+    if table.keys() >= {*PLACE}:
+        return {"cam0": _grouped(table)}
     slam = _orb_slam(table)
     if slam:
         return slam
@@ -164,12 +170,15 @@ def _orb_slam(table):
             parts.setdefault(name, {})[rest] = value
     common = parts.get("Camera", {})
     found = {name: {**common, **part} for name, part in parts.items() if "fx" in part}
-    for part in found.values():
-        place = ("fx", "fy", "cx", "cy")
-        names = [key for key in part if key in place or COEFFICIENT.fullmatch(key)]
-        part["intrinsics"] = {key: part.pop(key) for key in names}
-        part["camera_type"] = part.pop("type", "pinhole")
-    return found
+    return {name: _grouped(part) for name, part in found.items()}
+
+
+def _grouped(table):
+    """Return a table whose parameters by name are together, as Basalt has them."""
+    names = [key for key in table if key in PLACE or COEFFICIENT.fullmatch(str(key))]
+    others = {key: value for key, value in table.items() if key not in names}
+    kind = {"camera_type": others.pop("type")} if "type" in others else {}
+    return others | kind | {"intrinsics": {key: table[key] for key in names}}
 
 
 def _basalt(table):
@@ -253,11 +262,11 @@ def _kalibr(fields):
     intrinsics = fields.take("intrinsics")
     if type(intrinsics) is dict:  # of Basalt or ORB-SLAM
         parts = Fields(intrinsics)
-        found = [_number(_require(parts, key), key) for key in ("fx", "fy", "cx", "cy")]
-        is_fisheye = _model(fields) == FISHEYE
-        coefficients = _named(parts, RADIAL if is_fisheye else ORDER)
+        found = [_number(_require(parts, key), key) for key in PLACE]
+        order = RADIAL if _model(fields) == FISHEYE else ORDER
+        coefficients = _named(parts, order)
         parts.ignore("rpmax")
-        _refuse_unknown(parts, intrinsics)
+        _refuse_unknown(parts, (*PLACE, *order))
         return _make(fields, found, coefficients)
     numbers = _flat(intrinsics, "intrinsics")
     model = _model(fields)  # refuses omni before its five numbers
@@ -265,7 +274,10 @@ def _kalibr(fields):
         return _make(fields, numbers[:4], numbers[4:])
     if len(numbers) != 4:
         raise BadData(f"intrinsics: {len(numbers)} numbers, wanted 4: fx, fy, cx, cy")
-    return _make(fields, numbers, _coefficients(fields))
+    coefficients = _coefficients(fields)
+    if model == ANY and coefficients:
+        raise _missing(fields, "distortion_model")
+    return _make(fields, numbers, coefficients)
 
 
 def _matrix_file(fields):
@@ -310,7 +322,7 @@ def _camodocal(fields):
         # r = theta + k2 theta^3 + ... + k5 theta^9
         coefficients = _named(place, order, required=True)
     else:
-        keys, coefficients = ("fx", "fy", "cx", "cy"), []
+        keys, coefficients = PLACE, []
     intrinsics = [_number(_require(place, key), key) for key in keys]
     _refuse_unknown(place, (*keys, "k2", "k3", "k4", "k5"))
     if model != FISHEYE and "distortion_parameters" in fields:
@@ -371,7 +383,9 @@ def _colmap(fields):
     made = _calibration_of(
         _size(fields),
         [fx, fy, values["cx"] - 0.5, values["cy"] - 0.5],
-        [values.get(key, 0.0) for key in order] if "PINHOLE" not in model else [],
+        _without_rational([values.get(key, 0.0) for key in order])
+        if "PINHOLE" not in model
+        else [],
         FISHEYE if is_fisheye else PINHOLE,
     )
     return replace(made, notes=(HALF_PIXEL,))
@@ -388,7 +402,10 @@ def _make(fields, intrinsics, coefficients, skew=0.0):
     names = " ".join(str(fields.take(key, "")).lower() for key in MODEL_KEYS)
     if "modified" in names and any((coefficients or [])[2:4]):
         raise BadData("modified Brown-Conrady: its p1 and p2 cannot be represented; wanted 0")
-    return _calibration_of(_size(fields), intrinsics, coefficients or [], model, skew)
+    made = _calibration_of(_size(fields), intrinsics, coefficients or [], model, skew)
+    if model == ANY and any(made.coefficients):
+        return replace(made, notes=(NO_MODEL,))
+    return made
 
 
 def _calibration_of(size, intrinsics, coefficients, model, skew=0.0):
@@ -460,9 +477,15 @@ def _coefficients(fields):
 
 def _named(fields, order: Iterable[str], required=False):
     """Return coefficients from fields that have their names; missing ones are 0."""
-    return [
+    values = [
         _number(_require(fields, key) if required else fields.take(key, 0.0), key) for key in order
     ]
+    return _without_rational(values)
+
+
+def _without_rational(coefficients):
+    """Return coefficients without k4, k5 and k6 of OpenCV's order if they are 0."""
+    return coefficients if any(coefficients[5:]) else coefficients[:5]
 
 
 def _refuse_unknown(fields, known, short_only=False):

@@ -118,5 +118,6 @@ def _ini(lines):
             values = []
             next(reversed(sections.values()))[titles.get(line, line)] = values
     image = {key: value[0] for key, value in sections.pop("image", {}).items() if value}
+    image["distortion_model"] = "plumb_bob"  # or rational_polynomial, by the number of coefficients
     found = {name: image | part for name, part in sections.items() if "camera_matrix" in part}
     return found or image
