@@ -590,3 +590,12 @@ def test_the_crop_of_matroska(tmp_path):
     film, scene = first(path)
     assert np.abs(luma_of(scene.content.codes) - planes[0][4:-8, 6:-2]).max() < 0.5
     assert any("left 6, top 4, right 2, bottom 8" in note for note in film.notes)
+
+
+def test_luma_above_white_is_noted(tmp_path):
+    luma = np.full((16, 32), 940, np.uint16)
+    luma[:4, :16] = 1000
+    planes = [luma, *flat((512, 512), (16, 32))]
+    film, scene = first(write(tmp_path / "a.mkv", [planes], "yuv444p10le"))
+    assert (scene.content.codes == 65535).all()
+    assert any(note.startswith("12 % of its first frame are brighter") for note in film.notes)

@@ -16,12 +16,12 @@ from typing import Any, NoReturn
 import numpy as np
 
 from gpusim.apps.video.codecs import pyav
-from gpusim.apps.video.codes import BT709, Tags, read_coding
+from gpusim.apps.video.codes import BT709, TRANSFERS, Tags, read_coding
 from gpusim.apps.video.crop import Crop, read_crop
 from gpusim.apps.video.scenes import check_size
 from gpusim.apps.video.shape import Turn, read_matrix, square_size
 from gpusim.domain.display import DISPLAYS, Display
-from gpusim.domain.errors import BadFile
+from gpusim.domain.errors import BadFile, check_known
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
 from gpusim.io.account import Fields
@@ -67,6 +67,8 @@ class Film:
 
     def __init__(self, path: Path, transfer: str | None = None, **options):
         self.path, self.names = path, [str(path)]
+        if transfer is not None:
+            check_known("transfer function", transfer, sorted(set(TRANSFERS.values())))
         self._av = pyav()
         open_file(path).close()  # refuses a folder or a pipe
         with self._reading(), self._av.open(str(path)) as container:
@@ -97,6 +99,9 @@ class Film:
             self._require_memory(*self._size)
             self._coding = read_coding(tags, frame.format, frame.width, frame.height, transfer)
         notes += self._coding.notes
+        above = self._coding.share_above_white(frame)
+        if above > 0:
+            notes.append(f"{100 * above:.2g} % of its first frame are brighter than white: clipped")
         if frame.interlaced_frame:
             notes.append("interlaced: both fields of a frame are taken as of one time")
         side.ignore(*IGNORED)
