@@ -340,6 +340,8 @@ def test_profiles_by_plane_and_files_without_a_raw_picture(tmp_path):
     assert any("4 pairs for 3 planes" in note for note in pairs.notes)
     four = profile_of(tmp_path, profile=(1e-4, 2e-7) * 4, tags=[(50710, BYTE, [0, 1, 2, 3])])
     assert four.notes == ()
+    whites = profile_of(tmp_path, white=None, tags=[(50717, LONG, [1000, 1010, 1020])])
+    assert whites.white_level == 1010 and any("1000 .. 1020" in note for note in whites.notes)
     with refused("no raw picture", error=BadFile):
         profile_of(tmp_path, photometric=1)
 

@@ -14,6 +14,8 @@ from refusals import refused
 
 import gpusim as gs
 from gpusim.domain.errors import BadFile
+from gpusim.kernels.optics.distort_ref import _lagrange
+from gpusim.optics.geometry import distortion_grid
 
 SIZE = (1640, 1232)
 FX, FY, CX, CY = 804.0, 804.7, 871.2, 597.4
@@ -162,6 +164,29 @@ def test_skew_is_taken(skew, tmp_path):
         ),
     ):
         assert np.abs(np.array(found) - wanted).max() < 1e-8
+
+
+@pytest.mark.parametrize("fisheye", [True, False])
+def test_every_pixel_of_a_frame_looks_where_the_formula_says_with_skew(fisheye):
+    """As test_opencv's: the place from the frame's grid comes back to the pixel, within the grid's 2.5e-3 twice."""
+    size, skew, numbers = (321, 241), 7.0, FISHEYE if fisheye else FIVE
+    k = np.array([[300.0, skew, 165.0], [0, 303.0, 118.0], [0, 0, 1]])
+    lens = gs.Calibration.of(k, numbers, size, fisheye).fit_to_frame(size[::-1], 1e-6)
+    grid = distortion_grid(lens, size[::-1], 1e-6)
+    rows, cols = np.indices(size[::-1])
+    moved = _lagrange(grid.nodes, size[::-1], np.arange(size[1]), np.arange(size[0]))
+    places = np.stack([cols + moved[1], rows + moved[0]], -1).reshape(-1, 2)
+    y = (places[:, 1] - k[1, 2]) / k[1, 1]
+    x = (places[:, 0] - k[0, 2] - skew * y) / k[0, 0]
+    if fisheye:
+        none, whole = np.zeros(3), np.stack([x, y, np.ones_like(x)], -1)[:, None]
+        found = cv2.fisheye.projectPoints(
+            whole, none, none, k, np.array(numbers), alpha=skew / k[0, 0]
+        )[0].reshape(-1, 2)
+    else:
+        u, v = ((by_formula(np.stack([x, y], -1), FIVE, 0.0) - (CX, CY)) / (FX, FY)).T
+        found = np.stack([k[0, 0] * u + skew * v + k[0, 2], k[1, 1] * v + k[1, 2]], -1)
+    assert np.abs(found - np.stack([cols, rows], -1).reshape(-1, 2)).max() < 5e-3
 
 
 def test_skew_in_frames_of_another_size_and_its_limit(tmp_path):

@@ -18,12 +18,13 @@ PINHOLE, FISHEYE, NO_DISTORTION, ANY = "pinhole", "fisheye", "none", "any"
 # Names of models in files; ANY is a projection whose distortion has another key
 MODELS = dict.fromkeys(
     "plumb_bob rational_polynomial thin_prism radtan radial_tangential brown_conrady radtan8 "
-    "pinhole_radtan pinhole_radtan8 modified_brown_conrady opencv pinhole_full".split(),
+    "pinhole_radtan pinhole_radtan8 modified_brown_conrady opencv full_opencv simple_radial radial "
+    "pinhole_full".split(),
     PINHOLE,
 )
 MODELS |= dict.fromkeys(
     "equidistant equi fisheye kannala_brandt kannala_brandt4 kannalabrandt4 kannalabrandt8 kb4 "
-    "opencv_fisheye pinhole_equi".split(),
+    "opencv_fisheye simple_radial_fisheye radial_fisheye pinhole_equi".split(),
     FISHEYE,
 )
 MODELS |= dict.fromkeys(["none", "", "simple_pinhole", "inverse_brown_conrady"], NO_DISTORTION)
