@@ -577,6 +577,8 @@ def fuzz(reader, seed, first, count, keep=None) -> dict:
         peak, longest, unaccounted = 0, LONGEST, UNACCOUNTED
         if reader == "fields":
             longest, unaccounted = PICTURE * LONGEST, 32 * UNACCOUNTED
+        if reader == "film":  # FFmpeg decodes a frame when it opens a file
+            unaccounted = 8 * UNACCOUNTED
         for data in inputs.good:
             path.write_bytes(data)
             try:

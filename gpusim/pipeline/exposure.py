@@ -574,7 +574,8 @@ class _Shot(Parts):
                 f"the scene's light is unknown: colours are rendered for {processor.target}{white}"
             )
         camera = self.exposure.camera
-        notes += (*plan.scene.notes, *camera.notes, *camera.sensor.notes)
+        lens = getattr(camera.optics.distortion, "notes", ())
+        notes += dict.fromkeys((*plan.scene.notes, *camera.notes, *camera.sensor.notes, *lens))
         if plan.planned_for:
             notes.append(
                 f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "

@@ -1,5 +1,6 @@
 """Video files of other programs: geometry, rate and codes are what FFmpeg and the standards say."""
 
+import struct
 import subprocess
 import sys
 from fractions import Fraction
@@ -517,3 +518,84 @@ def test_fragmented_and_streamable_files(options, tmp_path):
     film, scene = first(path)
     assert (film.count, film.rate, scene.shape) == (12, 24, (38, 50))
     assert len(list(film.between(0, 12))) == 12 and film.notes == ()
+
+
+def boxed(name, content):
+    return len(content + name + b"....").to_bytes(4, "big") + name + content
+
+
+def with_clap(data, clap):
+    """An MP4 whose only track has a CleanApertureBox; its moov comes after the media data."""
+    for_sizes = [b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"avc1"]
+    data, at, box = bytearray(data), 0, boxed(b"clap", clap)
+    for name in for_sizes:
+        at = data.index(name, at)
+        size = int.from_bytes(data[at - 4 : at], "big") + len(box)
+        data[at - 4 : at] = size.to_bytes(4, "big")
+    end = at - 4 + size - len(box)
+    data[end:end] = box
+    return bytes(data)
+
+
+def test_the_clean_aperture_of_mp4(tmp_path):
+    planes = ramp()
+    path = write(tmp_path / "a.mp4", [planes] * 2, "yuv444p", codec="libx264", qp="0")
+    # 40 x 30 with its middle 3 right of and 2 above the frame's
+    numbers = (40, 1, 30, 1, 3, 1, -4, 2)
+    path.write_bytes(with_clap(path.read_bytes(), struct.pack(">8i", *numbers)))
+    with av.open(str(path)) as file:
+        assert sum(1 for _ in file.decode(video=0)) == 2  # the file is sound
+    film, scene = first(path)
+    left, top = 12 + 3, 9 - 2
+    wanted = planes[0][top : top + 30, left : left + 40]
+    assert np.abs(luma_of(scene.content.codes) - wanted).max() < 0.5
+    assert any("left 15, top 7, right 9, bottom 11" in note for note in film.notes)
+
+
+def element(number, content):
+    """An EBML element with a size of eight bytes."""
+    name = number.to_bytes((number.bit_length() + 7) // 8, "big")
+    return name + (1 << 56 | len(content)).to_bytes(8, "big") + content
+
+
+def elements(data):
+    at = 0
+    while at < len(data):
+        sizes = []
+        for marker in (0, 1):
+            length = 9 - data[at].bit_length()
+            value = int.from_bytes(data[at : at + length], "big")
+            sizes.append(value & ((1 << 7 * length) - 1) if marker else value)
+            at += length
+        yield sizes[0], data[at : at + sizes[1]]
+        at += sizes[1]
+
+
+def with_crop(data, path=(0x18538067, 0x1654AE6B, 0xAE, 0xE0)):
+    """A Matroska file whose video element also has PixelCropLeft 6, Top 4, Right 2 and Bottom 8."""
+    if not path:
+        more = ((0x54CC, 6), (0x54BB, 4), (0x54DD, 2), (0x54AA, 8))
+        return data + b"".join(element(number, bytes([value])) for number, value in more)
+    return b"".join(
+        element(number, with_crop(content, path[1:]) if number == path[0] else content)
+        for number, content in elements(data)
+    )
+
+
+def test_the_crop_of_matroska(tmp_path):
+    planes = ramp()
+    path = write(tmp_path / "a.mkv", [planes] * 2, "yuv444p", codec="libx264", qp="0")
+    assert not first(path)[0].notes
+    path.write_bytes(with_crop(path.read_bytes()))
+    film, scene = first(path)
+    assert np.abs(luma_of(scene.content.codes) - planes[0][4:-8, 6:-2]).max() < 0.5
+    assert any("left 6, top 4, right 2, bottom 8" in note for note in film.notes)
+
+
+def test_luma_above_white_is_noted(tmp_path):
+    luma = np.full((16, 32), 940, np.uint16)
+    luma[:4, :16] = 1000
+    planes = [luma, *flat((512, 512), (16, 32))]
+    film, scene = first(write(tmp_path / "a.mkv", [planes], "yuv444p10le"))
+    assert (scene.content.codes == 65535).all()
+    assert any(note.startswith("12 % of its first frame are brighter") for note in film.notes)

@@ -340,6 +340,8 @@ def test_profiles_by_plane_and_files_without_a_raw_picture(tmp_path):
     assert any("4 pairs for 3 planes" in note for note in pairs.notes)
     four = profile_of(tmp_path, profile=(1e-4, 2e-7) * 4, tags=[(50710, BYTE, [0, 1, 2, 3])])
     assert four.notes == ()
+    whites = profile_of(tmp_path, white=None, tags=[(50717, LONG, [1000, 1010, 1020])])
+    assert whites.white_level == 1010 and any("1000 .. 1020" in note for note in whites.notes)
     with refused("no raw picture", error=BadFile):
         profile_of(tmp_path, photometric=1)
 
@@ -401,3 +403,31 @@ def test_photon_transfer_makes_a_sensor():
     assert again.noise.read == pytest.approx(5, rel=0.03)
     assert again.full_well == pytest.approx(truth.full_well, rel=0.03)
     assert again.qe.at([550.0])[0, 0] == pytest.approx(0.5, rel=0.02)
+
+
+@pytest.mark.parametrize("change", ["row", "column", "pattern", "all"])
+def test_black_levels_are_those_of_libraw(change, tmp_path):
+    """LibRaw's mean black level of the four places of the mosaic, in whole DN."""
+    rawpy, tifffile = pytest.importorskip("rawpy"), pytest.importorskip("tifffile")
+    rows, cols, levels = (256,) * 32, (12,) * 32, (10, 12, 14, 16)
+    tags = [
+        (33421, "H", 2, (2, 2), False),
+        (33422, "B", 4, bytes([0, 1, 1, 2]), False),
+        (50706, "B", 4, bytes([1, 4, 0, 0]), False),
+        (50708, "s", 0, "Test", False),
+        (50717, "I", 1, 4056, False),
+        (50721, "2i", 9, (1, 1, 0, 1, 0, 1, 0, 1, 1, 1, 0, 1, 0, 1, 0, 1, 1, 1), False),
+        (51041, "d", 2, (1e-4, 1e-6), False),
+    ]
+    if change in ("pattern", "all"):
+        tags += [(50713, "H", 2, (2, 2), False), (50714, "I", 4, levels, False)]
+    if change in ("row", "all"):
+        tags.append((50716, "2i", 32, tuple(fractions(rows, 1)), False))
+    if change in ("column", "all"):
+        tags.append((50715, "2i", 32, tuple(fractions(cols, 1)), False))
+    path = tmp_path / "a.dng"
+    values = np.full((32, 32), 300, np.uint16)
+    tifffile.imwrite(path, values, photometric="cfa", metadata=None, extratags=tags)
+    with rawpy.imread(str(path)) as raw:
+        judge = np.mean(raw.black_level_per_channel)
+    assert gs.read_noise_profile(path).black_level == judge > 0

@@ -14,6 +14,8 @@ from refusals import refused
 
 import gpusim as gs
 from gpusim.domain.errors import BadFile
+from gpusim.kernels.optics.distort_ref import _lagrange
+from gpusim.optics.geometry import distortion_grid
 
 SIZE = (1640, 1232)
 FX, FY, CX, CY = 804.0, 804.7, 871.2, 597.4
@@ -162,6 +164,29 @@ def test_skew_is_taken(skew, tmp_path):
         ),
     ):
         assert np.abs(np.array(found) - wanted).max() < 1e-8
+
+
+@pytest.mark.parametrize("fisheye", [True, False])
+def test_every_pixel_of_a_frame_looks_where_the_formula_says_with_skew(fisheye):
+    """As test_opencv's: the place from the frame's grid comes back to the pixel, within the grid's 2.5e-3 twice."""
+    size, skew, numbers = (321, 241), 7.0, FISHEYE if fisheye else FIVE
+    k = np.array([[300.0, skew, 165.0], [0, 303.0, 118.0], [0, 0, 1]])
+    lens = gs.Calibration.of(k, numbers, size, fisheye).fit_to_frame(size[::-1], 1e-6)
+    grid = distortion_grid(lens, size[::-1], 1e-6)
+    rows, cols = np.indices(size[::-1])
+    moved = _lagrange(grid.nodes, size[::-1], np.arange(size[1]), np.arange(size[0]))
+    places = np.stack([cols + moved[1], rows + moved[0]], -1).reshape(-1, 2)
+    y = (places[:, 1] - k[1, 2]) / k[1, 1]
+    x = (places[:, 0] - k[0, 2] - skew * y) / k[0, 0]
+    if fisheye:
+        none, whole = np.zeros(3), np.stack([x, y, np.ones_like(x)], -1)[:, None]
+        found = cv2.fisheye.projectPoints(
+            whole, none, none, k, np.array(numbers), alpha=skew / k[0, 0]
+        )[0].reshape(-1, 2)
+    else:
+        u, v = ((by_formula(np.stack([x, y], -1), FIVE, 0.0) - (CX, CY)) / (FX, FY)).T
+        found = np.stack([k[0, 0] * u + skew * v + k[0, 2], k[1, 1] * v + k[1, 2]], -1)
+    assert np.abs(found - np.stack([cols, rows], -1).reshape(-1, 2)).max() < 5e-3
 
 
 def test_skew_in_frames_of_another_size_and_its_limit(tmp_path):
@@ -343,6 +368,26 @@ def test_intrinsics_of_realsense(tmp_path):
         )
 
 
+def test_settings_of_orb_slam(tmp_path):
+    points = rays()
+    place = f"Camera1.fx: {FX}\nCamera1.fy: {FY}\nCamera1.cx: {CX}\nCamera1.cy: {CY}\n"
+    size = f"Camera.width: {SIZE[0]}\nCamera.height: {SIZE[1]}\nCamera.fps: 20\nORBextractor.nFeatures: 1000\n"
+    start = '%YAML:1.0\n\nFile.version: "1.0"\n\n'
+    for name, order, numbers, fisheye in (
+        ("PinHole", ("k1", "k2", "p1", "p2", "k3"), FIVE, False),
+        ("KannalaBrandt8", ("k1", "k2", "k3", "k4"), FISHEYE, True),
+    ):
+        more = "".join(
+            f"Camera1.{key}: {value}\n" for key, value in zip(order, numbers, strict=True)
+        )
+        text = f'{start}Camera.type: "{name}"\n\n{place}{more}{size}'
+        for one in (text, text.replace("Camera1.", "Camera.")):
+            judge = by_opencv(points, numbers, fisheye)
+            assert np.abs(pixels(read(tmp_path, one), points) - judge).max() < CLOSE
+    with refused("'k9'", "unknown", error=BadFile):
+        read(tmp_path, text.replace("Camera1.k4", "Camera1.k9"))
+
+
 COLMAP = {
     "SIMPLE_PINHOLE": ((FX, CX, CY), False, ()),
     "PINHOLE": ((FX, FY, CX, CY), False, ()),
@@ -459,6 +504,23 @@ PLUMB = info("plumb_bob", FIVE)
 def test_misspelt_keys_are_refused_with_the_nearest_name(text, parts, tmp_path):
     with refused(*parts, error=BadFile):
         read(tmp_path, text)
+
+
+def test_coefficients_without_a_model(tmp_path):
+    """Four numbers may be of both models: Kalibr's are refused, OpenCV's are its pinhole's, with a note."""
+    text = chain("pinhole", "radtan", FIVE[:4]).replace("  distortion_model: radtan\n", "")
+    with refused("lacks distortion_model", error=BadFile):
+        read(tmp_path, text)
+    table = {"camera_matrix": matrix().tolist(), "dist_coeff": [[*FIVE]], "image_size": [*SIZE]}
+    place = dict(fx=FX, fy=FY, cx=CX, cy=CY, width=SIZE[0], height=SIZE[1])
+    flat = place | dict(zip(("k1", "k2", "p1", "p2", "k3"), FIVE, strict=True))
+    points = rays()
+    for one in (table, flat):
+        made = read(tmp_path, json.dumps(one), "a.json")
+        assert np.abs(pixels(made, points) - by_opencv(points, FIVE)).max() < CLOSE
+        assert any("no model is named" in note for note in made.notes)
+    with refused("'k7'", "unknown", error=BadFile):
+        read(tmp_path, json.dumps(flat | {"k7": 0.1}), "a.json")
 
 
 def test_notes_of_a_calibration_are_in_the_report(tmp_path):

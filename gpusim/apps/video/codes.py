@@ -19,7 +19,7 @@ import numpy as np
 
 from gpusim.apps.video.codecs import EXACT, EXACT_LINEAR, converter
 from gpusim.domain.display import DISPLAYS, P3_PRIMARIES
-from gpusim.domain.errors import BadData, UnknownName
+from gpusim.domain.errors import BadData
 
 TRANSFERS = {
     1: "bt709",
@@ -132,6 +132,14 @@ class Coding:
         converted = converter(words, stored, frame.width, frame.height, *given)(frame)
         return self._from_planes(converted, bits) if self._is_deep else converted.to_ndarray()
 
+    def share_above_white(self, frame: Any) -> float:
+        """Return the part of a frame's luma that is above white in limited range, which is clipped."""
+        is_planar = frame.format.name.startswith("yuv") and len(frame.planes) > 2
+        if self.is_full or not is_planar or frame.format.name.endswith("be"):
+            return 0.0
+        luma = _plane(frame.planes[0], self.bits)
+        return float(np.mean(luma > 235 * 2 ** (self.bits - 8)))
+
     def _from_planes(self, frame, bits):
         """Return RGB codes of 16 bits from a frame of planes."""
         planes = [_plane(part, bits) for part in frame.planes]
@@ -175,15 +183,12 @@ def read_coding(tags: Tags, pixels: Any, cols: int, rows: int, transfer: str | N
         pixels: VideoFormat.
         cols: Columns of a frame.
         rows: Rows of a frame.
-        transfer: Transfer function in place of the tag.
+        transfer: Transfer function in place of the tag, of TRANSFERS.
 
     Raises:
         BadData: If the meaning is unknown.
-        UnknownName: If the transfer function is unknown.
     """
     known = sorted(set(TRANSFERS.values()))
-    if transfer is not None and transfer not in known:
-        raise UnknownName("transfer function", transfer, known)
     if transfer is None and tags.transfer not in TRANSFERS:
         tag = "not tagged" if tags.transfer in UNTAGGED else f"tag {tags.transfer}"
         raise BadData(

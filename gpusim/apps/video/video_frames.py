@@ -16,11 +16,12 @@ from typing import Any, NoReturn
 import numpy as np
 
 from gpusim.apps.video.codecs import pyav
-from gpusim.apps.video.codes import BT709, Tags, read_coding
+from gpusim.apps.video.codes import BT709, TRANSFERS, Tags, read_coding
+from gpusim.apps.video.crop import Crop, read_crop
 from gpusim.apps.video.scenes import check_size
 from gpusim.apps.video.shape import Turn, read_matrix, square_size
 from gpusim.domain.display import DISPLAYS, Display
-from gpusim.domain.errors import BadFile
+from gpusim.domain.errors import BadFile, check_known
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
 from gpusim.io.account import Fields
@@ -28,14 +29,17 @@ from gpusim.io.files import name_in_errors, open_file, reading
 from gpusim.io.scene.photo import lift
 from gpusim.io.scene.scenes import picture
 
-SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi")
+SUFFIXES = (".mp4", ".mkv", ".mov", ".webm", ".avi", ".m4v", ".mpg", ".ts", ".mts", ".mxf")
 LENGTH = re.compile(r"(\d+):(\d\d):(\d\d(?:\.\d+)?)")  # hours, minutes, seconds
 # frames between neighbours; frames by which storage order may lag behind display order
 GAP, MOST_LATE = (Fraction(3, 2), 16)
 # decoders raise errors for damage instead of concealing it
 STRICT = {"err_detect": "crccheck+explode"}
 # Side data of frames that say nothing about light or geometry
-IGNORED = ("SEI_UNREGISTERED", "*TIMECODE", "MOTION_VECTORS", "VIDEO_ENC_PARAMS", "FILM_GRAIN*")
+IGNORED = (
+    *("SEI_UNREGISTERED", "*TIMECODE", "MOTION_VECTORS", "VIDEO_ENC_PARAMS", "FILM_GRAIN*"),
+    *("PANSCAN", "VIDEO_HINT", "REGIONS_OF_INTEREST", "DETECTION_BBOXES"),
+)
 ROUNDING = Fraction(1, 500)  # [s]; times in Matroska are whole milliseconds
 FASTEST = 10**5  # [frame/s]
 BYTES_PER_PIXEL = 64  # a decoder's references, planes of float32, codes and coefficients
@@ -63,6 +67,8 @@ class Film:
 
     def __init__(self, path: Path, transfer: str | None = None, **options):
         self.path, self.names = path, [str(path)]
+        if transfer is not None:
+            check_known("transfer function", transfer, sorted(set(TRANSFERS.values())))
         self._av = pyav()
         open_file(path).close()  # refuses a folder or a pipe
         with self._reading(), self._av.open(str(path)) as container:
@@ -93,6 +99,9 @@ class Film:
             self._require_memory(*self._size)
             self._coding = read_coding(tags, frame.format, frame.width, frame.height, transfer)
         notes += self._coding.notes
+        above = self._coding.share_above_white(frame)
+        if above > 0:
+            notes.append(f"{100 * above:.2g} % of its first frame are brighter than white: clipped")
         if frame.interlaced_frame:
             notes.append("interlaced: both fields of a frame are taken as of one time")
         side.ignore(*IGNORED)
@@ -132,6 +141,17 @@ class Film:
         aspect *= 1 / stretch if self._turn.swaps else stretch
         stored = frame.width, frame.height
         self._size = square_size(*stored, aspect)
+        with open_file(self.path) as file:
+            self._crop = read_crop(file, self._number, *stored)
+        if self._crop != Crop():
+            if self._size != stored:
+                self._refuse(
+                    "its container crops frames whose pixels are not square; crop it first"
+                )
+            left, top, right, bottom = self._crop
+            notes.append(
+                f"cropped by its container: left {left}, top {top}, right {right}, bottom {bottom}"
+            )
         if self._size != stored:
             notes.append(
                 f"its pixels have a width of {float(aspect):.4g} heights: {stored[0]} x {stored[1]} are "
@@ -143,17 +163,17 @@ class Film:
 
         Raises BadFile if the last ones are missing.
         """
-        base = stream.time_base
-        if stream.frames:  # a file with an index, of the times of decoding
-            entries = [one for one in stream.index_entries or () if not one.is_discard]
-            if len(stream.index_entries or ()) == stream.frames:
-                return [one.timestamp * base for one in entries]
-            return [number / (stream.average_rate or 1) for number in range(stream.frames)]
-        shown, end = [], Fraction(0)  # times of the frames, and end of the last one [s]
+        base, entries = stream.time_base, stream.index_entries or ()
+        if entries and len(entries) == stream.frames:  # all of them, by the times of decoding
+            return [one.timestamp * base for one in entries if not one.is_discard]
+        stored, shown, end = 0, [], Fraction(0)  # times of frames, and end of the last one [s]
         for packet in container.demux(stream):
+            stored += packet.size > 0
             if packet.size and not packet.is_discard:
                 shown.append((packet.pts or 0) * base)
                 end = max(end, shown[-1] + (packet.duration or 0) * base)
+        if stored < stream.frames:
+            self._refuse(f"has {stored} of its {stream.frames} frames: it is truncated")
         # of this stream, in Matroska
         length = LENGTH.fullmatch(stream.metadata.get("DURATION", ""))
         if length:
@@ -190,7 +210,7 @@ class Film:
                     self._at = number + 1, decoded
                     if frame.is_corrupt:
                         self._refuse(f"its frame {number} is damaged")
-                    codes = self._turn.apply(self._coding.rgb(frame, self._size))
+                    codes = self._turn.apply(self._cut(self._coding.rgb(frame, self._size)))
                     break
             else:
                 self._refuse(f"ends before its frame {number} of {self.count}: it is truncated")
@@ -198,6 +218,11 @@ class Film:
         return check_size(
             scene, getattr(self, "_shape", scene.shape), f"{self.path}, frame {number}", "its first"
         )
+
+    def _cut(self, codes):
+        """Return codes without the columns and rows that the container crops."""
+        left, top, right, bottom = self._crop
+        return codes[top : len(codes) - bottom, left : codes.shape[1] - right]
 
     @contextmanager
     def _reading(self):

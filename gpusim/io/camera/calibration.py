@@ -18,12 +18,13 @@ PINHOLE, FISHEYE, NO_DISTORTION, ANY = "pinhole", "fisheye", "none", "any"
 # Names of models in files; ANY is a projection whose distortion has another key
 MODELS = dict.fromkeys(
     "plumb_bob rational_polynomial thin_prism radtan radial_tangential brown_conrady radtan8 "
-    "pinhole_radtan pinhole_radtan8 modified_brown_conrady opencv pinhole_full".split(),
+    "pinhole_radtan pinhole_radtan8 modified_brown_conrady opencv full_opencv simple_radial radial "
+    "pinhole_full".split(),
     PINHOLE,
 )
 MODELS |= dict.fromkeys(
-    "equidistant equi fisheye kannala_brandt kannala_brandt4 kannalabrandt4 kb4 opencv_fisheye "
-    "pinhole_equi".split(),
+    "equidistant equi fisheye kannala_brandt kannala_brandt4 kannalabrandt4 kannalabrandt8 kb4 "
+    "opencv_fisheye simple_radial_fisheye radial_fisheye pinhole_equi".split(),
     FISHEYE,
 )
 MODELS |= dict.fromkeys(["none", "", "simple_pinhole", "inverse_brown_conrady"], NO_DISTORTION)
@@ -73,7 +74,20 @@ IGNORED = (
         "name",
     ),
     *("sensor_type", "rate_hz", "id", "rms", "date", "aabb_scale", "frames", "ply_file_path"),
-    *("aspectRatio", "fisheye_model", "camera_angle_*", "type_id", "is_fisheye", "calib_*"),
+    *(
+        "fps",
+        "RGB",
+        "newWidth",
+        "newHeight",
+        "bf",
+        "bFishEye",
+        "aspectRatio",
+        "fisheye_model",
+        "camera_angle_*",
+        "type_id",
+        "is_fisheye",
+        "calib_*",
+    ),
 )
 # Parameters of COLMAP's models; f is both focal lengths
 COLMAP = {
@@ -87,10 +101,15 @@ COLMAP = {
     "RADIAL_FISHEYE": "f cx cy k1 k2",
     "OPENCV_FISHEYE": "fx fy cx cy k1 k2 k3 k4",
 }
+NO_MODEL = (
+    "no model is named: the coefficients are taken as k1 k2 p1 p2 ... of OpenCV's pinhole model"
+)
 HALF_PIXEL = "the principal point is moved by half a pixel: its program has (0.5, 0.5) in the middle of the first pixel"
 ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")  # OpenCV's
 RADIAL = ("k1", "k2", "k3", "k4")
+PLACE = ("fx", "fy", "cx", "cy")
 COEFFICIENT = re.compile(r"(k|p|s|t|tau_?)_?\w?\d?$")
+DEEPEST = 3  # lists in lists, as json.dump writes NumPy's arrays of shape (1, 1, n)
 ALIKE, MOST_LETTERS = 0.8, 2  # of two names; letters that a misspelt name may have more or fewer
 
 
@@ -100,8 +119,8 @@ def read_calibration(path: str | PathLike, camera: str | None = None) -> Calibra
     ROS: the `camera_info` file of camera_calibration (.yaml, .ini) or a printed
     sensor_msgs/CameraInfo. OpenCV: files of cv2.FileStorage and its calibration samples, in YAML,
     JSON or XML. Kalibr: a camchain (pinhole-radtan, pinhole-equi). Basalt (pinhole, radtan8, kb4),
-    camodocal (PINHOLE, KANNALA_BRANDT), RealSense's intrinsics, COLMAP's cameras.txt and
-    nerfstudio's transforms.json.
+    camodocal (PINHOLE, KANNALA_BRANDT), ORB-SLAM's settings, RealSense's intrinsics, COLMAP's
+    cameras.txt and nerfstudio's transforms.json.
 
     Args:
         path: file to read.
@@ -129,6 +148,11 @@ def _cameras(table) -> Mapping[Any, dict]:
         return _basalt(table["value0"])
     if _is_camera(table):
         return {"cam0": table}
+    if table.keys() >= {*PLACE}:
+        return {"cam0": _grouped(table)}
+    slam = _orb_slam(table)
+    if slam:
+        return slam
     return {key: one for key, one in table.items() if _is_camera(one)} or {"cam0": table}
 
 
@@ -136,6 +160,26 @@ def _is_camera(table):
     """Return whether a table has the parameters of one camera."""
     known = {"intrinsics", "projection_parameters", "ppx", "fl_x", "camera_angle_x", *MATRIX}
     return type(table) is dict and not known.isdisjoint(table)
+
+
+def _orb_slam(table):
+    """Return the cameras of a settings file of ORB-SLAM: Camera.fx, or Camera1.fx and Camera2.fx."""
+    parts: dict[str, dict] = {}
+    for key, value in table.items():
+        name, dot, rest = str(key).partition(".")
+        if dot and name.rstrip("12") == "Camera":
+            parts.setdefault(name, {})[rest] = value
+    common = parts.get("Camera", {})
+    found = {name: {**common, **part} for name, part in parts.items() if "fx" in part}
+    return {name: _grouped(part) for name, part in found.items()}
+
+
+def _grouped(table):
+    """Return a table whose parameters by name are together, as Basalt has them."""
+    names = [key for key in table if key in PLACE or COEFFICIENT.fullmatch(str(key))]
+    others = {key: value for key, value in table.items() if key not in names}
+    kind = {"camera_type": others.pop("type")} if "type" in others else {}
+    return others | kind | {"intrinsics": {key: table[key] for key in names}}
 
 
 def _basalt(table):
@@ -215,15 +259,15 @@ def _missing(fields, *names):
 
 
 def _kalibr(fields):
-    """Return the calibration of one camera of Kalibr or Basalt."""
+    """Return the calibration of one camera of Kalibr, Basalt or ORB-SLAM."""
     intrinsics = fields.take("intrinsics")
-    if type(intrinsics) is dict:  # Basalt
+    if type(intrinsics) is dict:  # of Basalt or ORB-SLAM
         parts = Fields(intrinsics)
-        found = [_number(_require(parts, key), key) for key in ("fx", "fy", "cx", "cy")]
-        is_fisheye = _model(fields) == FISHEYE
-        coefficients = _named(parts, RADIAL if is_fisheye else ORDER)
+        found = [_number(_require(parts, key), key) for key in PLACE]
+        order = RADIAL if _model(fields) == FISHEYE else ORDER
+        coefficients = _named(parts, order)
         parts.ignore("rpmax")
-        _refuse_unknown(parts, intrinsics)
+        _refuse_unknown(parts, (*PLACE, *order))
         return _make(fields, found, coefficients)
     numbers = _flat(intrinsics, "intrinsics")
     model = _model(fields)  # refuses omni before its five numbers
@@ -231,7 +275,10 @@ def _kalibr(fields):
         return _make(fields, numbers[:4], numbers[4:])
     if len(numbers) != 4:
         raise BadData(f"intrinsics: {len(numbers)} numbers, wanted 4: fx, fy, cx, cy")
-    return _make(fields, numbers, _coefficients(fields))
+    coefficients = _coefficients(fields)
+    if model == ANY and coefficients:
+        raise _missing(fields, "distortion_model")
+    return _make(fields, numbers, coefficients)
 
 
 def _matrix_file(fields):
@@ -276,7 +323,7 @@ def _camodocal(fields):
         # r = theta + k2 theta^3 + ... + k5 theta^9
         coefficients = _named(place, order, required=True)
     else:
-        keys, coefficients = ("fx", "fy", "cx", "cy"), []
+        keys, coefficients = PLACE, []
     intrinsics = [_number(_require(place, key), key) for key in keys]
     _refuse_unknown(place, (*keys, "k2", "k3", "k4", "k5"))
     if model != FISHEYE and "distortion_parameters" in fields:
@@ -337,7 +384,9 @@ def _colmap(fields):
     made = _calibration_of(
         _size(fields),
         [fx, fy, values["cx"] - 0.5, values["cy"] - 0.5],
-        [values.get(key, 0.0) for key in order] if "PINHOLE" not in model else [],
+        _without_rational([values.get(key, 0.0) for key in order])
+        if "PINHOLE" not in model
+        else [],
         FISHEYE if is_fisheye else PINHOLE,
     )
     return replace(made, notes=(HALF_PIXEL,))
@@ -354,7 +403,10 @@ def _make(fields, intrinsics, coefficients, skew=0.0):
     names = " ".join(str(fields.take(key, "")).lower() for key in MODEL_KEYS)
     if "modified" in names and any((coefficients or [])[2:4]):
         raise BadData("modified Brown-Conrady: its p1 and p2 cannot be represented; wanted 0")
-    return _calibration_of(_size(fields), intrinsics, coefficients or [], model, skew)
+    made = _calibration_of(_size(fields), intrinsics, coefficients or [], model, skew)
+    if model == ANY and any(made.coefficients):
+        return replace(made, notes=(NO_MODEL,))
+    return made
 
 
 def _calibration_of(size, intrinsics, coefficients, model, skew=0.0):
@@ -426,9 +478,15 @@ def _coefficients(fields):
 
 def _named(fields, order: Iterable[str], required=False):
     """Return coefficients from fields that have their names; missing ones are 0."""
-    return [
+    values = [
         _number(_require(fields, key) if required else fields.take(key, 0.0), key) for key in order
     ]
+    return _without_rational(values)
+
+
+def _without_rational(coefficients):
+    """Return coefficients without k4, k5 and k6 of OpenCV's order if they are 0."""
+    return coefficients if any(coefficients[5:]) else coefficients[:5]
 
 
 def _refuse_unknown(fields, known, short_only=False):
@@ -463,8 +521,9 @@ def _flat(value, key):
             raise BadData(f"{key}: lacks data, its numbers")
         value = value["data"]
     value = [] if value is None else value
-    while type(value) is list and value and all(type(item) is list for item in value):
-        value = [item for row in value for item in row]
+    for _ in range(DEEPEST):  # YAML has lists that contain themselves
+        if type(value) is list and value and all(type(item) is list for item in value):
+            value = [item for row in value for item in row]
     if type(value) is not list or not all(
         type(item) in (int, float) and abs(item) < 1e300 for item in value
     ):

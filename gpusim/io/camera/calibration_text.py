@@ -10,10 +10,10 @@ from gpusim.io.files import name_in_errors, read_text, reading
 LONGEST = 2**16
 LONGEST_JSON = 2**24  # transforms.json has the poses of all pictures
 WHAT = "YAML, JSON or XML of a calibration"
-FLOAT = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?$")
+FLOAT = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?$")
 SECTION = re.compile(r"\[([^\]\n]*)\]\s*$")
 # numbers of a line in cameras.txt: id, model, width, height, parameters
-COLMAP = re.compile(r"(\d+)\s+([A-Z_]+)\s+(\d+)\s+(\d+)\s+([-+\d.eE\s]+)$")
+COLMAP = re.compile(r"(\d+)\s+([A-Z_]+)\s+(\d+)\s+(\d+)((?:\s+[-+.\deE]+)+)$")
 
 
 def parse_calibration(path) -> dict:
@@ -118,5 +118,6 @@ def _ini(lines):
             values = []
             next(reversed(sections.values()))[titles.get(line, line)] = values
     image = {key: value[0] for key, value in sections.pop("image", {}).items() if value}
+    image["distortion_model"] = "plumb_bob"  # or rational_polynomial, by the number of coefficients
     found = {name: image | part for name, part in sections.items() if "camera_matrix" in part}
     return found or image

@@ -179,6 +179,10 @@ def read_noise_profile(path: str | PathLike) -> NoiseProfile:
         scale, offset = _profile(fields, planes, notes)
         bits = int(np.max(fields.take("BitsPerSample", 16)))
         white = fields.take("WhiteLevel", [1.0 if is_float else 2 ** min(bits, 16) - 1])
+        if np.ptp(white) > 0:
+            notes.append(
+                f"WhiteLevel is {np.min(white):g} .. {np.max(white):g} by plane: their mean"
+            )
         black = _black_level(fields, notes)
         if "LinearizationTable" in fields:
             notes.append(
