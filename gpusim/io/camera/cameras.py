@@ -13,7 +13,7 @@ import numpy as np
 
 from gpusim.data.curves import CHANNELS, curve
 from gpusim.data.displays import display_names, open_display
-from gpusim.data.lights import illuminant
+from gpusim.data.lights import FILES, illuminant
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.calibration import Calibration
 from gpusim.domain.camera import Camera
@@ -318,6 +318,9 @@ def _processor(path, fields):
     if "table" in fields:
         with _name_key_in_errors(path, "[processor] table"):
             fields["table"] = read_table(path.parent / fields["table"])
+    for key in ("training", "target"):
+        if str(fields.get(key)).lower().endswith(FILES):
+            fields[key] = str(path.parent / fields[key])
     processor = Processor(**fields)
     with _name_key_in_errors(path, "[processor] training"):
         reflectances(processor.training)
