@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import tables, xyz
+from gpusim.domain.above import call_above
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
 from gpusim.domain.spectrum import (
     BOLTZMANN,
@@ -52,9 +53,7 @@ def illuminant(name: str | PathLike[str], wavelengths: ArrayLike | None = None) 
     if not isinstance(name, str | PathLike):
         raise UnknownName("light", one_line(name), illuminant_names())
     if isinstance(name, PathLike) or name.lower().endswith(FILES):
-        from gpusim.io.lamps import read_lamp
-
-        light = read_lamp(name)
+        light: Spectrum = call_above("io.lamps.read_lamp", name)
         return light if wavelengths is None else _at(light, wavelengths)
     match = TEMPERATURE.fullmatch(name.lower())
     if match and match[1] == "blackbody":

@@ -4,6 +4,7 @@ from os import PathLike
 
 from gpusim.data.colorimetry import tables
 from gpusim.data.lights import FILES
+from gpusim.domain.above import call_above
 from gpusim.domain.errors import UnknownName
 from gpusim.domain.spectrum import Spectrum
 
@@ -26,9 +27,8 @@ def reflectances(set_name: str | PathLike[str]) -> Spectrum:
         UnknownName: The set is not known.
     """
     if isinstance(set_name, PathLike) or str(set_name).lower().endswith(FILES):
-        from gpusim.io.lamps import read_surfaces
-
-        return read_surfaces(set_name)
+        found: Spectrum = call_above("io.lamps.read_surfaces", set_name)
+        return found
     if set_name == "colorchecker":
         table = tables("cie")
         return Spectrum(table["colorchecker_wavelengths"], table["colorchecker"], set_name)

@@ -110,10 +110,8 @@ def test_lamps_light_whatever_takes_a_light(colour, tmp_path, monkeypatch):
 def test_reflectances_from_files(colour, tmp_path):
     wanted = reflectances("macbeth")
     lines = [["nm", *(f"patch {n + 1}" for n in range(24))]]
-    lines += [
-        [f"{nm:g}", *(f"{v:.9g}" for v in row)]
-        for nm, row in zip(wanted.wavelengths, wanted.values.T, strict=True)
-    ]
+    rows = zip(wanted.wavelengths, wanted.values.T, strict=True)
+    lines += [[f"{nm:g}", *(f"{value:.9g}" for value in row)] for nm, row in rows]
     path = tmp_path / "macbeth.csv"
     path.write_text("\n".join(",".join(line) for line in lines))
     np.testing.assert_allclose(reflectances(path).values, wanted.values, rtol=1e-8)

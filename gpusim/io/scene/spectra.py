@@ -28,7 +28,8 @@ def read_spectra(path, has_scale: bool = False) -> tuple[np.ndarray, np.ndarray]
 
     The first column, or the first line, has the wavelengths, sorted ascending here, in the unit that
     their heading names, or nm; see `gpusim.domain.units`. Other headings, and names, are ignored,
-    but percent, unless has_scale: then the caller knows the scale. Separators and comments: see `read_cells`. Raises BadFile, DoesNotFit.
+    but percent, unless has_scale: then the caller knows the scale. Separators and comments: see
+    `read_cells`. Raises BadFile, DoesNotFit.
     """
     cells = read_cells(path, LONGEST_TABLE)
     width = max(map(len, cells), default=0)
