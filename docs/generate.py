@@ -72,7 +72,11 @@ SAID = {
     "diffuser_um": "Standard deviation of a Gaussian diffuser, at the sensor.",
     "psf": "Measured point spreads, an .npz file in the folder of the camera file: `lens.npz` in [Files](../files.md).",
     "photodetector": "A second factor of `qe`, for example for the photodiode behind the colour filters.",
-    "ir_cut": "A third factor of `qe`: the infrared filter in front of the sensor.",
+    "ir_cut": 'A third factor of `qe`: the infrared filter in front of the sensor. "none": there is none.',
+    "sensitivity": "Sensitivity of the whole camera, in place of `qe`, `photodetector` and `ir_cut`: a curve for "
+    "each letter. Values above 1 are relative.",
+    "sensitivity_peak": "Efficiency of the highest value of `sensitivity`. Without it, that of the table, at most 1.",
+    "gain_e_per_dn": "The same the other way round, in place of `gain_dn_per_e`.",
     "calibration": 'A file of OpenCV, ROS or Kalibr, or `{file = ..., camera = "cam0"}`: principal point, focal '
     "lengths and distortion, see [Files](../files.md).",
     "noise_profile": "A raw photograph (DNG) whose NoiseProfile gives gain, offset and read noise.",

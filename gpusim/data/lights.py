@@ -3,11 +3,13 @@
 import dataclasses
 import re
 from numbers import Real
+from os import PathLike
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import tables, xyz
+from gpusim.domain.above import call_above
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, one_line
 from gpusim.domain.spectrum import (
     BOLTZMANN,
@@ -22,19 +24,21 @@ from gpusim.domain.spectrum import (
 )
 
 BRIGHTEST = 1e12  # [cd m-2]; the sun has 1.6e9
+FILES = (".csv", ".spdx", ".xml")  # ends of names of lamps' files
 TEMPERATURE = re.compile(r"(daylight|blackbody)-(\d+(?:\.\d+)?)k")
 
 
-def illuminant(name: str, wavelengths: ArrayLike | None = None) -> Spectrum:
+def illuminant(name: str | PathLike[str], wavelengths: ArrayLike | None = None) -> Spectrum:
     """Return the relative spectral power of a light [W nm-1, up to a factor].
 
     CIE illuminants have the published scale, the others are 100 at 560 nm. A CIE illuminant is zero
     outside its table; a blackbody has no limits.
 
     Args:
-        name: A CIE illuminant ("A", "C", "D65", "E", "FL2", "FL3.15", "HP1", "LED-B1", "ID65",
-            ...), CIE daylight of a temperature ("daylight-5000K", 4000 .. 25000 K) or a blackbody
-            ("blackbody-3200K"); upper or lower case.
+        name: A lamp's file, .csv, .spdx or .xml (IES TM-27); or a CIE illuminant ("A", "C", "D65",
+            "E", "FL2", "FL3.15", "HP1", "LED-B1", "ID65", ...), CIE daylight of a temperature
+            ("daylight-5000K", 4000 .. 25000 K) or a blackbody ("blackbody-3200K"); upper or lower
+            case.
         wavelengths: Wavelengths [nm], or None for its own table (CIE: 5 nm steps; daylight: 300 ..
             830 nm in 5 nm steps; blackbody: 300 .. 1100 nm in 1 nm steps).
 
@@ -42,11 +46,15 @@ def illuminant(name: str, wavelengths: ArrayLike | None = None) -> Spectrum:
         The spectrum.
 
     Raises:
+        BadFile: The file is no lamp's.
         OutOfRange: The temperature is outside its range.
         UnknownName: The name is not known.
     """
-    if not isinstance(name, str):
+    if not isinstance(name, str | PathLike):
         raise UnknownName("light", one_line(name), illuminant_names())
+    if isinstance(name, PathLike) or name.lower().endswith(FILES):
+        light: Spectrum = call_above("io.lamps.read_lamp", name)
+        return light if wavelengths is None else _at(light, wavelengths)
     match = TEMPERATURE.fullmatch(name.lower())
     if match and match[1] == "blackbody":
         return blackbody(
@@ -55,15 +63,19 @@ def illuminant(name: str, wavelengths: ArrayLike | None = None) -> Spectrum:
     light = daylight(float(match[2])) if match else _cie_illuminant(name)
     if wavelengths is None:
         return light
+    return _at(light, wavelengths)
+
+
+def _at(light, wavelengths):
     nodes = np.asarray(wavelengths, np.float64)
     return Spectrum(nodes, light.at(nodes), light.name, RELATIVE)
 
 
-def light_of(light: str | Spectrum) -> Spectrum:
+def light_of(light: str | PathLike[str] | Spectrum) -> Spectrum:
     """Return the relative power [W nm-1, up to a factor] of a light.
 
     Args:
-        light: Name of an illuminant, or a Spectrum: of relative power, of energy, or of photons,
+        light: Name or file of an illuminant, or a Spectrum: of relative power, of energy, or of photons,
             which are converted if its quantity says so.
 
     Returns:
@@ -73,7 +85,7 @@ def light_of(light: str | Spectrum) -> Spectrum:
         BadData: The value is neither, has several functions, or is no light.
         UnknownName: The name is not known.
     """
-    if isinstance(light, str):
+    if isinstance(light, str | PathLike):
         return illuminant(light)
     if not isinstance(light, Spectrum) or light.values.ndim != 1:
         raise BadData(

@@ -246,8 +246,8 @@ def _wholes(value):
 def _inverse(value):
     """Return a gain [DN/e-] from electrons per digital number, [e-/DN]."""
     number = _number()(value)
-    if not 1e-12 <= number <= 1e12:
-        raise _Wanted("a number 1e-12 .. 1e12, electrons per digital number")
+    if not 1e-4 <= number <= 1e4:
+        raise _Wanted("a number 0.0001 .. 10000, electrons per digital number")
     return 1 / number
 
 

@@ -1,13 +1,13 @@
 """Change settings of a camera with the keys of camera files: `Camera.with_`."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.camera_keys import MICRO, SECTIONS, value_of
+from gpusim.domain.above import call_above
+from gpusim.domain.camera_keys import SECTIONS, value_of
 from gpusim.domain.distortion import Distortion
-from gpusim.domain.errors import BadData, BadFile, UnknownName
+from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.filters import Filters
 from gpusim.domain.learned import FilterTable
@@ -42,7 +42,6 @@ GAINS = {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}
 READS = {"read", "reset", "adc", "row", "column"}
 # Parts of the quantum efficiency; a camera keeps their curves, and the product
 PARTS = ("photodetector_curve", "ir_cut", "qe_ends", "sensitivity_peak")
-HERE = Path("camera.toml")  # files are named from the current folder
 WHOLE = ("optics", "sensor", "processor", "display")
 
 
@@ -117,47 +116,7 @@ def _value(key, field, read, value):
     if value is None and field in NONE:
         return None
     given = value_of(key, read, _plain(value))
-    try:
-        return _read(key, field, given)
-    except BadFile as error:  # the reader of camera files names a file; there is none here
-        why = error.details.replace(f"{HERE}: ", "").removeprefix(f"{key}: ")
-        raise BadData(f"{key}: {why}") from None
-
-
-def _read(key, field, given):
-    """Return what a name, a file or a table stands for; other values stay."""
-    from gpusim.data.lights import illuminant
-    from gpusim.data.reflectances import reflectances
-    from gpusim.io.camera import cameras
-
-    if field == "target":
-        illuminant(given)
-    if field == "training":
-        reflectances(given)
-    if given is None or isinstance(given, float | int | tuple):
-        return given
-    if field in ("qe", "sensitivity"):
-        return cameras.read_curves(HERE, key, given, field == "qe")
-    if field in ("photodetector_curve", "ir_cut"):
-        return None if given == "none" else cameras.read_curve(HERE, key, given)
-    if field in ("transmission", "defocus", "lateral_color"):
-        found = cameras.read_curve(HERE, key, given, field == "transmission")
-        return replace(found, values=found.values / MICRO) if field == "defocus" else found
-    if field == "calibration" and isinstance(given, dict):
-        return read_calibration_of(given)
-    readers = {
-        "psf": cameras.read_psf,
-        "table": cameras.read_table,
-        "profile": cameras.read_noise_profile,
-    }
-    return readers[field](Path(given)) if field in readers else given
-
-
-def read_calibration_of(given):
-    """Return the Calibration of a file {"file": path, "camera": name}."""
-    from gpusim.io.camera.cameras import read_calibration
-
-    return read_calibration(Path(given["file"]), given.get("camera"))
+    return call_above("io.camera.cameras.read_part", key, field, given)
 
 
 def _plain(value):
@@ -259,11 +218,9 @@ def _processor(camera, fields, sensor):
 
 def _display(display, fields):
     """Return the display with changes, or another one by its name."""
-    from gpusim.data.displays import display_names, open_display
-
-    if fields.get("name") not in display_names():
+    if fields.get("name") not in call_above("data.displays.display_names"):
         return replace(display, **fields)
     if len(fields) > 1:
         others = ", ".join(fields.keys() - {"name"})
         raise BadData(f"display.name = {fields['name']!r} is a known display; leave out {others}")
-    return open_display(fields["name"])
+    return call_above("data.displays.open_display", fields["name"])

@@ -10,7 +10,7 @@ from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_fields,
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil, Wavefront, disc_power, symmetric
 from gpusim.domain.short_repr import short_repr
-from gpusim.domain.spectrum import Spectrum, tabulate, values_of
+from gpusim.domain.spectrum import Spectrum, check_quantity, tabulate, values_of
 
 MODELS = ("diffraction", "measured", "none")
 RELATIVE_ILLUMINATIONS = ("cos4", "none")
@@ -97,6 +97,7 @@ class Optics:
             raise UnknownName(
                 "optics.relative_illumination", self.relative_illumination, RELATIVE_ILLUMINATIONS
             )
+        check_quantity("optics.transmission", self.transmission)
         for key in ("transmission", "defocus", "lateral_color"):
             value = getattr(self, key)
             if isinstance(value, Spectrum) and value.values.ndim != 1:

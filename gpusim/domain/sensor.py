@@ -20,7 +20,7 @@ from gpusim.domain.filters import Filters
 from gpusim.domain.mosaics import bayer_phase
 from gpusim.domain.noise import Noise
 from gpusim.domain.short_repr import short_repr
-from gpusim.domain.spectrum import Spectrum, is_increasing
+from gpusim.domain.spectrum import Spectrum, check_quantity, is_increasing
 
 FLOAT_BITS = 32  # value of `bits` for raw values without a converter
 IMPLAUSIBLE = 30.0  # times the converter's range, or a part of it: a full well that is a wrong gain
@@ -191,6 +191,7 @@ class Sensor:
                 raise BadData(
                     f"sensor.{key} = {format_value(getattr(self, key))}: wanted a gpusim.{kind.__name__}"
                 )
+        check_quantity("sensor.qe", self.qe)
         for key in ("channels", "cfa", "binning"):
             if isinstance(getattr(self, key), (str, list, tuple, np.ndarray)):
                 object.__setattr__(self, key, tuple(getattr(self, key)))

@@ -114,6 +114,14 @@ class Spectrum:
         return replace(self, values=self.values * factor)
 
 
+def check_quantity(label: str, value: Any):
+    """Raise BadData if a spectrum that should be of shares, such as a transmission, says another quantity."""
+    if isinstance(value, Spectrum) and value.quantity not in ("", SHARE):
+        raise BadData(
+            f"{label}: {value.name or 'a Spectrum'} is {value.quantity}, wanted shares 0 .. 1"
+        )
+
+
 def values_of(value: Spectrum | float) -> np.ndarray:
     """Return the values of a number or a Spectrum as an array."""
     return np.asarray(value, np.float64)

@@ -35,6 +35,9 @@ if TYPE_CHECKING:
     from gpusim.pipeline.simulator import Simulator
 
 ON_DEVICE = ("mean", "chip_mean")  # device arrays of an exposure
+DARKEST = (
+    1e6  # [photon s-1 m-2 sr-1 nm-1], 1e-8 cd m-2: light of a scene is brighter, or has no scale
+)
 HOT = 3.0  # a hot pixel's charge beyond the common dark current, in standard deviations of the read noise
 
 
@@ -572,6 +575,12 @@ class _Shot(Parts):
             white = ", saturation is display white" if processor.scaling == "normalised" else ""
             notes.append(
                 f"the scene's light is unknown: colours are rendered for {processor.target}{white}"
+            )
+        light = plan.scene.illuminant
+        if plan.scene.light_is_known and not light.quantity and light.values.max() < DARKEST:
+            notes.append(
+                f"light of at most {light.values.max():.3g} photon s-1 m-2 sr-1 nm-1 is darker than any night: if it "
+                "is relative, gs.scene_from(cube, wavelengths, light=..., luminance=100) gives it a scale"
             )
         camera = self.exposure.camera
         lens = getattr(camera.optics.distortion, "notes", ())

@@ -517,7 +517,7 @@ BAD = [
         "sensor.bits = 33: allowed is a whole number, 1 <= bits <= 16, or 32",
     ),
     (["flat", "--camera", "qe.toml"], "sensor.qe = -0.1 .. 1.2 e-/photon: allowed is 0 <= qe <= 1"),
-    (["flat", "--camera", "letter.toml"], "[sensor] qe has no curve for N; it has R, G, B, W"),
+    (["flat", "--camera", "letter.toml"], "[sensor] qe has no curve for X; it has R, G, B, W"),
     (
         ["flat", "--camera", "exposure0.toml"],
         "sensor.exposure_time = 0 s: allowed is 0 < exposure_time",
@@ -613,7 +613,7 @@ def make_bad_files():
     camera("well", "black_level_dn = 64\ngain_dn_per_e = 0.1")
     for bits in (0, 17, 33):
         camera(f"bits{bits}", bits=bits)
-    camera("letter", "cfa = 'rgbn'")
+    camera("letter", "cfa = ['RG', 'XB']")
     for time in (0, -5):
         camera(f"exposure{time}", f"exposure_time_ms = {time}")
     camera("binned", "stacked = true\nbinning = [2, 2]")

@@ -281,3 +281,21 @@ def test_an_efficiency_below_one_percent_makes_a_frame(tmp_path):
     # see the fall-off of cos^4
     wanted = 1e16 * 300 * 0.007 * 0.1 * pitch**2 * np.pi / (1 + 4 * optics.f_number**2)
     assert mean.max() == pytest.approx(wanted * optics.transmission, rel=2e-3)
+
+
+def test_lights_are_no_filters():
+    for key in ("qe", "transmission"):
+        light = gs.illuminant("D65").scale(1e-3)
+        with pytest.raises(BadData, match="relative power, wanted shares"):
+            gs.open_camera("mono").with_(**{key: light})
+
+
+def test_light_without_a_scale_is_noted():
+    nodes = np.arange(400.0, 701.0, 10)
+    watts = gs.Spectrum(nodes, gs.illuminant("D65", nodes).values)  # as other programs tabulate it
+    scene = gs.Scene(gs.Cube(nodes, np.ones((31, 8, 8), np.float32)), watts)
+    report = gs.Simulator(gs.open_camera("mono"), device="numpy")(scene).report
+    assert any("is relative, gs.scene_from" in note for note in report.notes)
+    bright = gs.Scene(scene.content, white_radiance(gs.illuminant("D65"), 1e-3))
+    report = gs.Simulator(gs.open_camera("mono"), device="numpy")(bright).report
+    assert not any("relative" in note for note in report.notes)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gpusim.data.curves import CHANNELS, curve
 from gpusim.data.displays import display_names, open_display
-from gpusim.data.lights import illuminant
+from gpusim.data.lights import FILES, illuminant
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.calibration import Calibration
 from gpusim.domain.camera import Camera
@@ -320,6 +320,9 @@ def _processor(path, fields):
     if "table" in fields:
         with _name_key_in_errors(path, "[processor] table"):
             fields["table"] = read_table(path.parent / fields["table"])
+    for key in ("training", "target"):
+        if str(fields.get(key)).lower().endswith(FILES):
+            fields[key] = str(path.parent / fields[key])
     processor = Processor(**fields)
     with _name_key_in_errors(path, "[processor] training"):
         reflectances(processor.training)
@@ -486,6 +489,40 @@ def read_curves(path, label, value, has_shares=True):
         spectrum = curve(value)
     values = np.atleast_2d(spectrum.values)
     return Spectrum(spectrum.wavelengths, values, value), tuple(CHANNELS[value])
+
+
+def read_part(key: str, field: str, given):
+    """Return what the value of a key stands for, as `Camera.with_` takes it; other values stay.
+
+    Files are named from the current folder. Raises BadData, UnknownName, DoesNotFit.
+    """
+    here = Path("camera.toml")
+    try:
+        return _part(here, key, field, given)
+    except BadFile as error:  # there is no camera's file
+        why = error.details.replace(f"{here}: ", "").removeprefix(f"{key}: ")
+        raise BadData(f"{key}: {why}") from None
+
+
+def _part(here, key, field, given):
+    if field == "target":
+        illuminant(given)
+    if field == "training":
+        reflectances(given)
+    if given is None or isinstance(given, float | int | tuple):
+        return given
+    if field in ("qe", "sensitivity"):
+        return read_curves(here, key, given, field == "qe")
+    if field in ("photodetector_curve", "ir_cut"):
+        return None if given == "none" else read_curve(here, key, given)
+    if field in ("transmission", "defocus", "lateral_color"):
+        found = read_curve(here, key, given, field == "transmission")
+        per_unit = MICRO if field == "defocus" else 1.0
+        return dataclasses.replace(found, values=found.values / per_unit)
+    if field == "calibration" and isinstance(given, dict):
+        return read_calibration(Path(given["file"]), given.get("camera"))
+    readers = {"psf": read_psf, "table": read_table, "profile": read_noise_profile}
+    return readers[field](Path(given)) if field in readers else given
 
 
 def _read_csv(path, has_shares=True):

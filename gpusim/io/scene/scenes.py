@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gpusim.data.charts import CHARTS, chart
 from gpusim.data.colorimetry import xyz
-from gpusim.data.lights import illuminant, white_radiance
+from gpusim.data.lights import FILES, illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS
@@ -246,8 +246,14 @@ def picture(
     return Scene(content, _white(light, luminance), name=name, **options)
 
 
-@functools.lru_cache(maxsize=16)
 def _white(light, luminance):
+    if str(light).lower().endswith(FILES):  # which may change
+        return white_radiance(illuminant(light), luminance)
+    return _named_white(light, luminance)
+
+
+@functools.lru_cache(maxsize=16)
+def _named_white(light, luminance):
     return white_radiance(illuminant(light), luminance)
 
 

@@ -9,7 +9,7 @@ from gpusim.domain.content import Materials
 from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
-from gpusim.domain.units import AXIS, convert_to_nm
+from gpusim.domain.units import AXIS, convert_to_nm, read_share_heading
 from gpusim.io.files import name_in_errors, read_cells
 
 LONGEST_TABLE = 2**23  # [byte] of text: 1000 spectra of 800 wavelengths
@@ -23,12 +23,13 @@ WANTED = (
 )
 
 
-def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
+def read_spectra(path, has_scale: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """Read a table of spectra: wavelengths [nm], float64 (L,), and spectra, float64 (spectra, L).
 
     The first column, or the first line, has the wavelengths, sorted ascending here, in the unit that
     their heading names, or nm; see `gpusim.domain.units`. Other headings, and names, are ignored,
-    but percent. Separators and comments: see `read_cells`. Raises BadFile, DoesNotFit.
+    but percent, unless has_scale: then the caller knows the scale. Separators and comments: see
+    `read_cells`. Raises BadFile, DoesNotFit.
     """
     cells = read_cells(path, LONGEST_TABLE)
     width = max(map(len, cells), default=0)
@@ -44,11 +45,21 @@ def read_spectra(path) -> tuple[np.ndarray, np.ndarray]:
         both = "both the first column and the first line could be wavelengths; "
         raise BadFile(path, both + WANTED if found else WANTED)
     nm, spectra = found[0]
+    spectra = spectra if has_scale else spectra * _shares(cells)
     if not np.isfinite(spectra).all():
         spectrum, band = np.argwhere(~np.isfinite(spectra))[0]
         raise BadFile(path, f"spectrum {spectrum + 1} at {nm[band]:g} nm is not a number; {WANTED}")
     order = np.argsort(nm)
     return nm[order], spectra[:, order]
+
+
+def _shares(cells):
+    """Return the factor on the numbers: 0.01 if a heading of the first line or column says percent."""
+    heads = [*cells[0], *(row[0] for row in cells)]
+    return min(
+        (read_share_heading(cell)[1] for cell in heads if "%" in cell or "perc" in cell.lower()),
+        default=1.0,
+    )
 
 
 def _number(cell):
