@@ -59,6 +59,8 @@ READERS = (
     "array",
     "spectra",
     "listing",
+    "hdf5",
+    "bands",
     "link",
     "fields",
     "manifest",
@@ -77,6 +79,8 @@ SUFFIXES = {
     "profile": ".dng",
     "mat": ".mat",
     "mat73": ".mat",
+    "hdf5": ".h5",
+    "bands": ".png",
     "envi": ".envi",
     "array": ".npy",
     "spectra": ".csv",
@@ -107,6 +111,8 @@ MUTATE = {
     "profile": picture_mutations.tiff,
     "mat": mat_mutations.version_5,
     "mat73": mat_mutations.version_7_3,
+    "hdf5": mat_mutations.hdf5,
+    "bands": picture_mutations.png,
     "envi": instrument_files.envi,
     "array": instrument_files.array,
     "spectra": mutations.table,
@@ -352,6 +358,10 @@ class Inputs:
             self.good = [picture_mutations.good_profile(np.random.default_rng(7))]
         elif reader in ("mat", "mat73"):
             self.good = mat_mutations.good(reader)
+        elif reader == "hdf5":
+            self.good = mat_mutations.good_hdf5()
+        elif reader == "bands":
+            self.good = good_pictures("png", folder)[1:2] + good_pictures("png", folder)[6:7]
         elif reader in ("exr", "png", "jpg", "tiff", "planes"):
             self.good = good_pictures(reader, folder)
         else:
@@ -395,6 +405,8 @@ def reading(reader, folder):
         return folder / "curves.csv", lambda path: open_camera(folder / "own.toml")
     if reader == "envi":
         return folder / "input.envi", read_envi
+    if reader == "bands":
+        return folder / "input.png", read_bands
     if reader == "listing":
         for number, text in enumerate(instrument_files.NEIGHBOURS):
             (folder / f"{number}.txt").write_text(text)
@@ -408,6 +420,15 @@ def read_envi(path):
     (path.parent / "a.hdr").write_bytes(head)
     (path.parent / "a.raw").write_bytes(raw)
     return open_scene(path.parent / "a.hdr")
+
+
+def read_bands(path):
+    """Open a folder whose three bands are one input."""
+    folder = path.parent / "bands"
+    folder.mkdir(exist_ok=True)
+    for nm in (450, 550, 650):
+        (folder / f"a_{nm}nm.png").write_bytes(path.read_bytes())
+    return open_scene(folder)
 
 
 def read_listing(path):
