@@ -323,7 +323,7 @@ def hdf5(data: bytes, random) -> bytes:
                 found.get("cube", 1.0), found.get("waves", 1.0), own, found.get("more") or {},
                 pick(random, ("gzip", "lzf", None)), random.random() < 0.3,
             )  # fmt: skip
-        except (TypeError, ValueError, AttributeError):  # values that HDF5 does not hold
+        except (TypeError, ValueError, AttributeError, OSError):  # values that HDF5 does not hold
             return damaged(data, data, random)
         if random.random() < 0.6:
             return data

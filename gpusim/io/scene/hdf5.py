@@ -101,6 +101,8 @@ class _Item(Value):
                 if stored.dtype.kind == "O" and stored.shape not in ((), (1,)):
                     continue  # references, or many texts
                 value = self.item.attrs[name]
+                if isinstance(name, bytes):  # not UTF-8
+                    name = name.decode("latin-1")
                 value = value[0] if stored.dtype.kind == "O" and stored.shape == (1,) else value
                 if isinstance(value, bytes):
                     value = value.decode("utf-8", "replace")
@@ -148,9 +150,9 @@ class _Item(Value):
 def _check_ends(data, base):
     """Raise ValueError if the structures of a file form a loop; base: start of its HDF5 data.
 
-    HDF5's library (2.0) follows a loop of free blocks of a heap until memory ends, and a loop of
-    tree nodes until its stack ends. It finds all other loops that were tried. Source: HDF5 File
-    Format Specification 3.0, III.A, III.D.
+    HDF5's library (2.0) follows a loop of free blocks of a heap until memory ends, a loop of tree
+    nodes until its stack ends, and parts of a global heap without a length for ever. It finds all
+    other loops that were tried. Source: HDF5 File Format Specification 3.0, III.A, III.D, III.E.
     """
     version = data[base + len(HDF5)]
     at = base + (13 if version < 2 else 9)
@@ -163,6 +165,15 @@ def _check_ends(data, base):
             if not left:
                 raise ValueError("a heap whose free blocks form a loop, or too many")
             left, block = left - 1, struct.unpack_from("<Q", data, base + start + block)[0]
+    for at in _places(data, b"GCOL"):
+        end = min(at + struct.unpack_from("<Q", data, at + 8)[0], len(data))
+        part = at + 16
+        while part + 16 <= end:
+            index, size = struct.unpack_from("<H6xQ", data, part)
+            step = (16 + size + -size % 8 if index else size) % 2**64  # as the library counts
+            if not 0 < step < 2**63:
+                raise ValueError("a heap of texts that leads back to itself")
+            part += step
     levels = {at - base: data[at + 5] for at in _places(data, b"TREE") if at + 24 <= len(data)}
     for at, level in levels.items():
         kind, entries = data[base + at + 4], struct.unpack_from("<H", data, base + at + 6)[0]
