@@ -419,8 +419,8 @@ def test_a_manifest_has_every_option(command):
     options = COMMANDS[command][0]
     names = {part.name for part in fields(options)}
     request = options(scene=["flat"], camera="phone", out="a.png", light="A")
-    assert names - request.key().keys() == RECORDED | RECORDED_BY[command]
-    assert request.key()["light"] == "A" and request.is_given("light")
+    assert names - request.for_manifest().keys() == RECORDED | RECORDED_BY[command]
+    assert request.for_manifest()["light"] == "A" and request.is_given("light")
     assert not request.is_given("seed")
 
 

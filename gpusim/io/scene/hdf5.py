@@ -91,23 +91,24 @@ class _Item(Value):
         super().__init__(path, label, kind, (shape[::-1] if self.rows_first else shape) or (1, 1))
 
     def attributes(self):
-        """Return the attributes, without those that are long or of other kinds."""
-        found = {}
+        """Return the attributes; those that are long or of other kinds as ""."""
+        import h5py
+
+        found: dict[str, np.ndarray | str] = {}
         with reading(self.path, self.what):
             for name in list(self.item.attrs)[:MOST_NAMES]:
-                stored = self.item.attrs.get_id(name)
-                if stored.get_storage_size() > LONGEST_TEXT or stored.dtype.kind not in "iufSO":
-                    continue
-                if stored.dtype.kind == "O" and stored.shape not in ((), (1,)):
-                    continue  # references, or many texts
-                value = self.item.attrs[name]
-                if isinstance(name, bytes):  # not UTF-8
-                    name = name.decode("latin-1")
-                value = value[0] if stored.dtype.kind == "O" and stored.shape == (1,) else value
+                stored, value = self.item.attrs.get_id(name), ""
+                # of objects only texts: HDF5 2.0 crashes on damaged lists of any length
+                is_text = h5py.check_string_dtype(stored.dtype) and stored.shape in ((), (1,))
+                is_known = stored.dtype.kind in "iufS" or is_text
+                if is_known and stored.get_storage_size() <= LONGEST_TEXT:
+                    value = self.item.attrs[name]
+                    value = value[0] if stored.dtype.kind == "O" and stored.shape else value
                 if isinstance(value, bytes):
                     value = value.decode("utf-8", "replace")
-                if isinstance(value, str) or np.asarray(value).dtype.kind in "iuf":
-                    found[name] = value if isinstance(value, str) else np.asarray(value)
+                is_word = isinstance(value, str) or np.asarray(value).dtype.kind not in "iuf"
+                text = name.decode("latin-1") if isinstance(name, bytes) else name  # not UTF-8
+                found[text] = str(value) if is_word else np.asarray(value)
         return found
 
     def _local_item(self, name):
