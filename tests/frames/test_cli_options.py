@@ -14,6 +14,7 @@ from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 from PIL import Image
@@ -52,6 +53,7 @@ SCENE = {
     "wavelengths": (PLANES, "--wavelengths 460,560,660"),
     "kind": (PLANES, "--kind radiance"),
     "scale": (PLANES, "--scale 2"),
+    "key": (f"cubes.h5 {ON} --key dark --exposure .01", "--key bright"),
     "fov": (f"{SPACE} --depth ray --fov 30", "--fov 60"),
     "depth": (f"{SPACE} --focus 0.5", "--depth none"),
     "projection": (CHART, "--projection equirectangular"),
@@ -84,6 +86,7 @@ ROWS = {
         "capture": (f"{CHART} -o out.npz", "--capture burst=2"),
         "out": (CHART, "-o out.npz"),
         "bits": (f"{CHART} -o out.png", "--bits 16"),
+        "quality": (f"{CHART} -o out.jpg", "--quality 20"),
         "report": (CHART, "--report report.json"),
         "verify": (CHART, "--verify"),
     },
@@ -92,6 +95,7 @@ ROWS = {
         "exposure": (f"{CHART} --tolerance video", "--exposure 1/500"),
         "iso": (f"{CHART} --tolerance video", "--iso 400"),
         "scale": (f"{PLANES} --tolerance video", "--scale 2"),
+        "key": (f"cubes.h5 {ON} --tolerance video --exposure .01 --key dark", "--key bright"),
         "json": (CHART, "--json plan.json"),
     },
     "video": after(SCENE | MOVING, "-o out.npz")
@@ -188,6 +192,8 @@ def inputs(tmp_path_factory):
         ("edge_", edge, np.float32(edges)),
     ):
         np.save(folder / f"{name}planes.npy", planes)
+        with h5py.File(folder / f"{name}cubes.h5", "w") as file:
+            file.update({"bright": planes, "dark": planes / 2, "wavelengths": [450, 550, 650]})
         channels = {"green": planes[1].copy(), "red": planes[2].copy()}
         OpenEXR.File(
             {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
@@ -374,6 +380,7 @@ CONFLICTS = [  # a command line and the option that has no effect in it
             "--wavelengths 450,550",
             "--kind radiance",
             "--scale 2",
+            "--key a",
             "--fov 30",
             "--depth none",
         )
@@ -462,7 +469,7 @@ def test_an_option_without_effect_is_refused(command, base, option, outcome):
 
 OF_LENS = {"f_number", "focus"}
 OF_SENSOR = OF_LENS | {"exposure", "iso"}
-OF_CONTENT = set("size samples_per_pixel light luminance band wavelengths kind scale".split())
+OF_CONTENT = set("size samples_per_pixel light luminance band wavelengths kind scale key".split())
 OF_SCENE = OF_CONTENT | {"border", "fov", "depth", "projection", "camera"}
 OF_FRAME = OF_SCENE | OF_SENSOR | {"seed", "device", "tolerance", "guaranteed", "strict"}
 USED = {
@@ -510,7 +517,7 @@ def looked(panel, name):
         base = base.replace(" --camera phone", "")
     if panel == "sfr":
         base = base.replace("colorchecker", "slanted-edge").replace("24x16", "64x48")
-        base = re.sub(r"^(\w+\.(exr|npy))", r"edge_\1", base).replace("1e-2", "3e-2")
+        base = re.sub(r"^(\w+\.(exr|npy|h5))", r"edge_\1", base).replace("1e-2", "3e-2")
         if "depth" not in base:  # few wavelengths, which some channels do not see
             base = re.sub(r"^(edge_\S+ --camera) phone", r"\1 mono", base)
     return f"{base} --what {panel} -o look.png", option
