@@ -342,6 +342,17 @@ def test_texts_that_lead_back_to_themselves(tmp_path, size):
         gs.open_scene(path)
 
 
+def test_attributes_of_other_kinds_are_named(tmp_path):
+    """HDF5 2.0 crashes on damaged lists of any length, so that they are not read."""
+    path = hdf5(tmp_path / "a.h5", {"a": CUBE, "wavelengths": NM})
+    with h5py.File(path, "r+") as file:
+        own = file["a"].attrs
+        own.create("lists", [np.arange(3), np.arange(2)], dtype=h5py.vlen_dtype(np.int32))
+        own["reference"], own["is_good"], own["words"] = file["wavelengths"].ref, True, ["x", "y"]
+        own["long"] = np.zeros(7000)
+    assert "attributes of a not used: is_good, lists, long, reference, words" in read(path)[2]
+
+
 def test_isetcams_struct_by_key(tmp_path):
     photons = {"type": "scene", "data": {"photons": CUBE * 1e15}, "spectrum": {"wave": NM}}
     scipy.io.savemat(tmp_path / "a.mat", {"one": photons, "two": photons | {"name": "second"}})
