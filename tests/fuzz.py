@@ -63,6 +63,8 @@ READERS = (
     "array",
     "spectra",
     "listing",
+    "hdf5",
+    "bands",
     "link",
     "fields",
     "manifest",
@@ -82,6 +84,8 @@ SUFFIXES = {
     "profile": ".dng",
     "mat": ".mat",
     "mat73": ".mat",
+    "hdf5": ".h5",
+    "bands": ".png",
     "envi": ".envi",
     "array": ".npy",
     "spectra": ".csv",
@@ -114,6 +118,8 @@ MUTATE = {
     "profile": picture_mutations.tiff,
     "mat": mat_mutations.version_5,
     "mat73": mat_mutations.version_7_3,
+    "hdf5": mat_mutations.hdf5,
+    "bands": picture_mutations.png,
     "envi": instrument_files.envi,
     "array": instrument_files.array,
     "spectra": mutations.table,
@@ -451,6 +457,10 @@ class Inputs:
             self.good = [picture_mutations.good_profile(np.random.default_rng(7))]
         elif reader in ("mat", "mat73"):
             self.good = mat_mutations.good(reader)
+        elif reader == "hdf5":
+            self.good = mat_mutations.good_hdf5()
+        elif reader == "bands":
+            self.good = good_pictures("png", folder)[1:2] + good_pictures("png", folder)[6:7]
         elif reader in ("exr", "png", "jpg", "tiff", "planes"):
             self.good = good_pictures(reader, folder)
         else:
@@ -498,6 +508,8 @@ def reading(reader, folder):
         return folder / "curves.csv", lambda path: open_camera(folder / "own.toml")
     if reader == "envi":
         return folder / "input.envi", read_envi
+    if reader == "bands":
+        return folder / "input.png", read_bands
     if reader == "listing":
         for number, text in enumerate(instrument_files.NEIGHBOURS):
             (folder / f"{number}.txt").write_text(text)
@@ -511,6 +523,15 @@ def read_envi(path):
     (path.parent / "a.hdr").write_bytes(head)
     (path.parent / "a.raw").write_bytes(raw)
     return open_scene(path.parent / "a.hdr")
+
+
+def read_bands(path):
+    """Open a folder whose three bands are one input."""
+    folder = path.parent / "bands"
+    folder.mkdir(exist_ok=True)
+    for nm in (450, 550, 650):
+        (folder / f"a_{nm}nm.png").write_bytes(path.read_bytes())
+    return open_scene(folder)
 
 
 def read_listing(path):

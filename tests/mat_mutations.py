@@ -49,6 +49,8 @@ GOOD = [
         "fov": 9.0,
     },
     {"photons": CUBE, "wave": WAVES, "illuminant": LAMP, "name": "a"},
+    {"rad": CUBE, "bands": WAVES, "rgb": CUBE[..., :2], "norm_factor": 2.0, "text": "a"},
+    {"hs": {"data": CUBE.astype(np.float32), "wl": WAVES / 1e3}, "mask": CUBE[..., 0] > 1.5},
 ]
 VALUES = (
     0.0,
@@ -190,14 +192,14 @@ def _reworded(variable, random):
 # ---- version 7.3
 
 
-def version_7_3(data: bytes, random) -> bytes:
+def version_7_3(data: bytes, random, others: bool = True) -> bytes:
     """A file of version 7.3 with other variables, or words of its structures changed."""
-    if random.random() < 0.3:
+    if others and random.random() < 0.3:
         data = saved_73(changed(pick(random, GOOD), random), pick(random, ("gzip", None)))
         if random.random() < 0.5:
             return data
     data = bytearray(data)
-    places = [match.start() for match in re.finditer(HDF5, bytes(data))]
+    places = [match.start() for match in re.finditer(HDF5, bytes(data))] or [0]
     for _ in range(int(random.integers(1, 6))):
         kind = int(random.integers(4))
         if kind <= 1:  # near a signature
@@ -255,3 +257,74 @@ def good(reader):
     return [
         saved_73(variables, compression) for variables in GOOD for compression in ("gzip", None)
     ]
+
+
+# ---- HDF5 of other programs
+
+
+def saved_hdf5(cube=CUBE, waves=WAVES, own=(), more=(), packing=None, latest=False):
+    """Bytes of a file with a cube and its wavelengths. own: attributes of the cube."""
+    import h5py
+
+    file = io.BytesIO()
+    with h5py.File(file, "w", libver="latest" if latest else None) as held:
+        if packing and np.ndim(cube):
+            held.create_dataset("scene/cube", data=cube, compression=packing, shuffle=True)
+        else:
+            held["scene/cube"] = cube
+        held["scene/cube"].attrs.update(dict(own))
+        held["scene/wavelength"] = waves
+        held["scene/wavelength"].attrs["units"] = "nm"
+        for name, value in dict(more).items():
+            held[name] = value
+    return file.getvalue()
+
+
+ATTRIBUTES = (
+    "scale_factor",
+    "add_offset",
+    "_FillValue",
+    "Scale_Factor",
+    "units",
+    "wavelengths",
+    "gain",
+)
+SMALL = {
+    "scale_factor": 0.5,
+    "add_offset": 0.01,
+    "_FillValue": -1.0,
+    "units": "1",
+    "long_name": "a",
+}
+
+
+def good_hdf5():
+    """Bytes of files that the reader takes."""
+    return [
+        saved_hdf5(),
+        saved_hdf5(own=SMALL, packing="gzip", more={"other/mask": CUBE[..., 0]}),
+        saved_hdf5((CUBE * 99).astype(np.int16), own={"Scale_Factor": 200.0}, packing="lzf"),
+        saved_hdf5(own=SMALL, more={"a/b/c": 1.0}, latest=True),
+    ]
+
+
+def hdf5(data: bytes, random) -> bytes:
+    """A file of HDF5 with other values and attributes, or words of its structures changed."""
+    if random.random() < 0.4:
+        own = {
+            pick(random, ATTRIBUTES): pick(
+                random, (0.0, -1.0, 1e300, np.nan, "x", "y" * 999, WAVES)
+            )
+            for _ in range(int(random.integers(3)))
+        }
+        found = changed({"cube": CUBE, "waves": WAVES, "more": {"a": CUBE}}, random)
+        try:
+            data = saved_hdf5(
+                found.get("cube", 1.0), found.get("waves", 1.0), own, found.get("more") or {},
+                pick(random, ("gzip", "lzf", None)), random.random() < 0.3,
+            )  # fmt: skip
+        except (TypeError, ValueError, AttributeError, OSError):  # values that HDF5 does not hold
+            return damaged(data, data, random)
+        if random.random() < 0.6:
+            return data
+    return version_7_3(bytes(512) + data, random, others=False)[512:]

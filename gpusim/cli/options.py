@@ -146,7 +146,7 @@ class Options:
             if part.name not in self._read:
                 self.refuse(part.name, f"{command} does not use it")
 
-    def as_texts(self) -> dict[str, str]:
+    def for_manifest(self) -> dict[str, str]:
         """Return every option that frames depend on, as text by name, for a manifest."""
         return {
             part.name: str(vars(self)[part.name])

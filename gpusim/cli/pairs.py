@@ -144,7 +144,7 @@ def pairs(request: PairsRequest) -> int:
     content = describe_run(
         simulator,
         photographs,
-        request.as_texts(),
+        request.for_manifest(),
         photographs=[str(path) for path in photographs],
         vary={name: list(values) for name, values in varied.items()},
     )

@@ -304,7 +304,7 @@ def _target(request, simulator, scenes, segments):
     made = describe_run(
         simulator,
         shown,
-        request.as_texts(),
+        request.for_manifest(),
         scenes=scenes.names,
         actors=[file_digest(cast.path) for cast in request.actor],
         frames=scenes.count,

@@ -14,6 +14,7 @@ from hashlib import sha256
 from pathlib import Path
 from types import SimpleNamespace
 
+import h5py
 import numpy as np
 import pytest
 from PIL import Image
@@ -53,6 +54,7 @@ SCENE = {
     "wavelengths": (PLANES, "--wavelengths 460,560,660"),
     "kind": (PLANES, "--kind radiance"),
     "scale": (PLANES, "--scale 2"),
+    "key": (f"cubes.h5 {ON} --key dark --exposure .01", "--key bright"),
     "fov": (f"{SPACE} --depth ray --fov 30", "--fov 60"),
     "depth": (f"{SPACE} --focus 0.5", "--depth none"),
     "projection": (CHART, "--projection equirectangular"),
@@ -88,6 +90,7 @@ ROWS = {
         "capture": (f"{CHART} -o out.npz", "--capture burst=2"),
         "out": (CHART, "-o out.npz"),
         "bits": (f"{CHART} -o out.png", "--bits 16"),
+        "quality": (f"{CHART} -o out.jpg", "--quality 20"),
         "report": (CHART, "--report report.json"),
         "verify": (CHART, "--verify"),
     },
@@ -99,6 +102,7 @@ ROWS = {
         "part": (f"{PARTS} --tolerance video", "--part other"),
         "layer": (f"{PARTS} --tolerance video", "--layer other"),
         "view": (f"{PARTS} --tolerance video", "--view right"),
+        "key": (f"cubes.h5 {ON} --tolerance video --exposure .01 --key dark", "--key bright"),
         "json": (CHART, "--json plan.json"),
     },
     "video": after(SCENE | MOVING, "-o out.npz")
@@ -195,6 +199,8 @@ def inputs(tmp_path_factory):
         ("edge_", edge, np.float32(edges)),
     ):
         np.save(folder / f"{name}planes.npy", planes)
+        with h5py.File(folder / f"{name}cubes.h5", "w") as file:
+            file.update({"bright": planes, "dark": planes / 2, "wavelengths": [450, 550, 650]})
         channels = {"green": planes[1].copy(), "red": planes[2].copy()}
         OpenEXR.File(
             {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels
@@ -388,6 +394,7 @@ CONFLICTS = [  # a command line and the option that has no effect in it
             "--wavelengths 450,550",
             "--kind radiance",
             "--scale 2",
+            "--key a",
             "--fov 30",
             "--depth none",
             "--layer left",
@@ -434,8 +441,8 @@ def test_a_manifest_has_every_option(command):
     options = COMMANDS[command][0]
     names = {part.name for part in fields(options)}
     request = options(scene=["flat"], camera="phone", out="a.png", light="A")
-    assert names - request.as_texts().keys() == RECORDED | RECORDED_BY[command]
-    assert request.as_texts()["light"] == "A" and request.is_given("light")
+    assert names - request.for_manifest().keys() == RECORDED | RECORDED_BY[command]
+    assert request.for_manifest()["light"] == "A" and request.is_given("light")
     assert not request.is_given("seed")
 
 
@@ -478,7 +485,7 @@ def test_an_option_without_effect_is_refused(command, base, option, outcome):
 OF_LENS = {"f_number", "focus"}
 OF_SENSOR = OF_LENS | {"exposure", "iso"}
 OF_CONTENT = set(
-    "size samples_per_pixel light luminance band wavelengths kind scale part layer view".split()
+    "size samples_per_pixel light luminance band wavelengths kind scale part layer view key".split()
 )
 OF_SCENE = OF_CONTENT | {"border", "fov", "depth", "projection", "camera"}
 OF_FRAME = OF_SCENE | OF_SENSOR | {"seed", "device", "tolerance", "guaranteed", "strict"}
@@ -527,7 +534,7 @@ def looked(panel, name):
         base = base.replace(" --camera phone", "")
     if panel == "sfr":
         base = base.replace("colorchecker", "slanted-edge").replace("24x16", "64x48")
-        base = re.sub(r"^(\w+\.(exr|npy))", r"edge_\1", base).replace("1e-2", "3e-2")
+        base = re.sub(r"^(\w+\.(exr|npy|h5))", r"edge_\1", base).replace("1e-2", "3e-2")
         if "depth" not in base:  # few wavelengths, which some channels do not see
             base = re.sub(r"^(edge_\S+ --camera) phone", r"\1 mono", base)
     return f"{base} --what {panel} -o look.png", option

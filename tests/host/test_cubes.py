@@ -1,5 +1,7 @@
 """Hyperspectral cubes of MATLAB and HDF5 files, as data bases and other programs write them."""
 
+import struct
+
 import h5py
 import hdf5storage
 import numpy as np
@@ -324,6 +326,31 @@ def test_groups_that_hold_themselves(tmp_path):
         file["group/root"] = file["/"]
     with refused("a.h5", "more than 4096", error=BadFile):
         gs.open_scene(path)
+
+
+@pytest.mark.parametrize("size", [0, 2**64 - 16])
+def test_texts_that_lead_back_to_themselves(tmp_path, size):
+    """HDF5 2.0 reads a part of a global heap without a length for ever; units are a text there."""
+    path = hdf5(tmp_path / "a.h5", {"a": CUBE, "wavelengths": (NM, {"units": "nm"})})
+    data = bytearray(path.read_bytes())
+    at = data.index(b"GCOL") + 16
+    while struct.unpack_from("<H", data, at)[0]:  # to the part that is free
+        at += 16 + -(-struct.unpack_from("<Q", data, at + 8)[0] // 8) * 8
+    struct.pack_into("<Q", data, at + 8, size)
+    path.write_bytes(data)
+    with refused("a.h5", "leads back to itself", error=BadFile):
+        gs.open_scene(path)
+
+
+def test_attributes_of_other_kinds_are_named(tmp_path):
+    """HDF5 2.0 crashes on damaged lists of any length, so that they are not read."""
+    path = hdf5(tmp_path / "a.h5", {"a": CUBE, "wavelengths": NM})
+    with h5py.File(path, "r+") as file:
+        own = file["a"].attrs
+        own.create("lists", [np.arange(3), np.arange(2)], dtype=h5py.vlen_dtype(np.int32))
+        own["reference"], own["is_good"], own["words"] = file["wavelengths"].ref, True, ["x", "y"]
+        own["long"] = np.zeros(7000)
+    assert "attributes of a not used: is_good, lists, long, reference, words" in read(path)[2]
 
 
 def test_isetcams_struct_by_key(tmp_path):

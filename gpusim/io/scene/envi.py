@@ -38,7 +38,14 @@ NANOMETRES: dict[str, float] = {
 }
 UNSAID = ("", "unknown")
 # fields that say nothing about light or geometry
-PLAIN = ("description", "file type", "sensor type", "band names", "spectra names", "z plot *")
+PLAIN: tuple[str, ...] = (
+    "description",
+    "file type",
+    "sensor type",
+    "band names",
+    "spectra names",
+    "z plot *",
+)
 PLAIN += ("default *", "header offset", "file compression", "*frame offsets", "class*", "history")
 LONGEST_UM = 100  # without a unit, numbers below are micrometres, others nanometres
 SHORTEST, LONGEST = 100, 1e5  # [nm] plausible wavelengths
@@ -341,7 +348,8 @@ def _wavelengths(header, own, count):
 
 def data_files(path) -> dict[Path, int]:
     """Return the files next to a header that could be its data, with their sizes [byte]."""
-    base, found = path.with_suffix(""), {}
+    base = path.with_suffix("")
+    found: dict[tuple[int, int], tuple[Path, int]] = {}
     for ending in (*DATA, *map(str.upper, DATA)):
         other = base.with_name(base.name + ending)
         try:

@@ -91,21 +91,24 @@ class _Item(Value):
         super().__init__(path, label, kind, (shape[::-1] if self.rows_first else shape) or (1, 1))
 
     def attributes(self):
-        """Return the attributes, without those that are long or of other kinds."""
-        found = {}
+        """Return the attributes; those that are long or of other kinds as ""."""
+        import h5py
+
+        found: dict[str, np.ndarray | str] = {}
         with reading(self.path, self.what):
             for name in list(self.item.attrs)[:MOST_NAMES]:
-                stored = self.item.attrs.get_id(name)
-                if stored.get_storage_size() > LONGEST_TEXT or stored.dtype.kind not in "iufSO":
-                    continue
-                if stored.dtype.kind == "O" and stored.shape not in ((), (1,)):
-                    continue  # references, or many texts
-                value = self.item.attrs[name]
-                value = value[0] if stored.dtype.kind == "O" and stored.shape == (1,) else value
+                stored, value = self.item.attrs.get_id(name), ""
+                # of objects only texts: HDF5 2.0 crashes on damaged lists of any length
+                is_text = h5py.check_string_dtype(stored.dtype) and stored.shape in ((), (1,))
+                is_known = stored.dtype.kind in "iufS" or is_text
+                if is_known and stored.get_storage_size() <= LONGEST_TEXT:
+                    value = self.item.attrs[name]
+                    value = value[0] if stored.dtype.kind == "O" and stored.shape else value
                 if isinstance(value, bytes):
                     value = value.decode("utf-8", "replace")
-                if isinstance(value, str) or np.asarray(value).dtype.kind in "iuf":
-                    found[name] = value if isinstance(value, str) else np.asarray(value)
+                is_word = isinstance(value, str) or np.asarray(value).dtype.kind not in "iuf"
+                text = name.decode("latin-1") if isinstance(name, bytes) else name  # not UTF-8
+                found[text] = str(value) if is_word else np.asarray(value)
         return found
 
     def _local_item(self, name):
@@ -148,9 +151,9 @@ class _Item(Value):
 def _check_ends(data, base):
     """Raise ValueError if the structures of a file form a loop; base: start of its HDF5 data.
 
-    HDF5's library (2.0) follows a loop of free blocks of a heap until memory ends, and a loop of
-    tree nodes until its stack ends. It finds all other loops that were tried. Source: HDF5 File
-    Format Specification 3.0, III.A, III.D.
+    HDF5's library (2.0) follows a loop of free blocks of a heap until memory ends, a loop of tree
+    nodes until its stack ends, and parts of a global heap without a length for ever. It finds all
+    other loops that were tried. Source: HDF5 File Format Specification 3.0, III.A, III.D, III.E.
     """
     version = data[base + len(HDF5)]
     at = base + (13 if version < 2 else 9)
@@ -163,6 +166,15 @@ def _check_ends(data, base):
             if not left:
                 raise ValueError("a heap whose free blocks form a loop, or too many")
             left, block = left - 1, struct.unpack_from("<Q", data, base + start + block)[0]
+    for at in _places(data, b"GCOL"):
+        end = min(at + struct.unpack_from("<Q", data, at + 8)[0], len(data))
+        part = at + 16
+        while part + 16 <= end:
+            index, size = struct.unpack_from("<H6xQ", data, part)
+            step = (16 + size + -size % 8 if index else size) % 2**64  # as the library counts
+            if not 0 < step < 2**63:
+                raise ValueError("a heap of texts that leads back to itself")
+            part += step
     levels = {at - base: data[at + 5] for at in _places(data, b"TREE") if at + 24 <= len(data)}
     for at, level in levels.items():
         kind, entries = data[base + at + 4], struct.unpack_from("<H", data, base + at + 6)[0]
