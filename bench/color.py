@@ -18,13 +18,13 @@ from gpusim.data.charts import chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
+from gpusim.data.weights import product_weights
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.spectrum import photons_from_energy
 from gpusim.io.camera.cameras import open_camera
 from gpusim.io.scene.scenes import open_scene
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.thumbnail import thumbnail
-from gpusim.optics.weights import product_weights
 
 LIGHTS = ("D65", "A", "FL11", "FL2")
 PATCHES = reflectances("colorchecker")

@@ -9,10 +9,10 @@ import numpy as np
 from gpusim.data.colorimetry import BRADFORD, adaptation, cmf
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances as measured
+from gpusim.data.weights import product_weights
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
-from gpusim.optics.weights import product_weights
 
 METHODS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal")
 

@@ -8,12 +8,12 @@ from gpusim.color.balance import estimate_white
 from gpusim.color.color import TransformSet, color_matrix, transform_set
 from gpusim.data.colorimetry import adaptation, xyz
 from gpusim.data.lights import illuminant
+from gpusim.data.weights import product_weights
 from gpusim.domain.camera import Camera
 from gpusim.domain.learned import XYZ
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
-from gpusim.optics.weights import product_weights
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,7 +9,7 @@ the kinds of lenses.
 
 The frame and the truth share these parts. Each has an independent test (in tests/judges unless
 stated):
-- electrons per content, cubic in the wavelength between the scene's wavelengths (`optics.weights`):
+- electrons per content, cubic in the wavelength between the scene's wavelengths (`data.weights`):
   tests/host/test_weights.py;
 - transfer function of the pupil on the axis (`optics.tables.exact_otf`), and kernels of point spreads
   that are given (`optics.lens.MeasuredLens`): test_truth_stars.py, by Hankel and Fourier integrals of
@@ -29,13 +29,13 @@ import dataclasses
 
 import numpy as np
 
+from gpusim.data.weights import electrons_per_content
 from gpusim.judge.truth_blur import blurred_rates
 from gpusim.judge.truth_depth import depth_rates
 from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, flat_fields, varying_rates
 from gpusim.judge.truth_lens import require_truth as require_truth
 from gpusim.judge.truth_light import falloff_gain, placed_light, plain_rates, with_rim
 from gpusim.optics.lens import lens_of
-from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 

@@ -17,12 +17,12 @@ from math import ceil
 import numpy as np
 import scipy
 
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.optics import Optics
 from gpusim.judge.truth_lens import transfer_of
 from gpusim.judge.truth_light import MODES, centre_pads, pixel_places
 from gpusim.optics.lens import open_lens
 from gpusim.optics.outside import at_samples, rule_of, unseen_light
-from gpusim.optics.weights import electrons_per_content
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame
 RINGS, RADII = 64, 6  # as many rings of the diffraction, and radii of the spread, at least

@@ -25,12 +25,12 @@ from typing import Any
 import numpy as np
 import scipy
 
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.optics import Optics
 from gpusim.domain.spectrum import Spectrum
 from gpusim.judge.truth_blur import blurred_planes
 from gpusim.judge.truth_field import varying_rates
 from gpusim.judge.truth_light import MODES, pixel_places, placed_light, placed_nearest
-from gpusim.optics.weights import electrons_per_content
 
 JUMP = 0.5  # [sample] of the circle of confusion between neighbours: an edge that hides
 STEP, MOST = 0.15, 64  # [wave] of defocus between distances, and their number

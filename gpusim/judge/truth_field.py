@@ -12,11 +12,11 @@ from math import prod
 import numpy as np
 import scipy
 
+from gpusim.data.weights import electrons_per_content
 from gpusim.judge.truth_lens import field_of, first_places
 from gpusim.judge.truth_light import axis_of
 from gpusim.optics.lens import lens_of
 from gpusim.optics.outside import border_indices
-from gpusim.optics.weights import electrons_per_content
 
 WHOLE = 2**17  # pixels of a frame up to which all are looked at
 BLOCKS, SIDE = 16, 32  # of others

@@ -6,12 +6,12 @@ import numpy as np
 
 from gpusim.data.colorimetry import adaptation
 from gpusim.data.lights import illuminant
+from gpusim.data.weights import xyz_per_content
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.scene import Scene
 from gpusim.domain.spectrum import ENERGY, RELATIVE, Spectrum, photons_from_energy
 from gpusim.optics.sampling import AREA, frame_start, pixel_taps
-from gpusim.optics.weights import xyz_per_content
 
 DAYLIGHT = "D65"  # assumed if the scene's light is unknown
 PERIOD = 8  # of the largest mosaic [pixel]: binned frames have whole periods only

@@ -9,12 +9,12 @@ from numpy.typing import ArrayLike
 
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import light_of
+from gpusim.data.weights import product_weights
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.measure.difference import blur_as_eye, cielab, xyz_and_white
-from gpusim.optics.weights import product_weights
 
 # part of rows and columns used: noise of the mirrored picture is less blurred at borders
 MIDDLE = 0.8

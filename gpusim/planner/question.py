@@ -6,6 +6,7 @@ from math import ceil
 
 import numpy as np
 
+from gpusim.data.weights import check_light, electrons_per_content
 from gpusim.domain.account import SAFETY, Bound, Tolerance
 from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
@@ -19,7 +20,6 @@ from gpusim.optics.geometry import rim_of
 from gpusim.optics.lens import Lens, open_lens
 from gpusim.optics.panorama import lens_key
 from gpusim.optics.tables import Caching, Tables
-from gpusim.optics.weights import check_light, electrons_per_content
 from gpusim.planner.facts import Facts
 from gpusim.planner.probes import Probes
 

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from gpusim.data.lights import light_of
+from gpusim.data.weights import product_weights
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, format_value
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.optics.lens import lens_of
-from gpusim.optics.weights import product_weights
 from gpusim.plot.canvas import (
     QUIET,
     axes_of,

@@ -11,6 +11,7 @@ import scipy
 
 from gpusim.backends import Device
 from gpusim.data.colorimetry import LUMINOUS_EFFICACY, cmf
+from gpusim.data.weights import electrons_per_content, xyz_per_content
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.content import Basis
 from gpusim.domain.display import Display
@@ -30,7 +31,6 @@ from gpusim.domain.spectrum import (
 from gpusim.measure.ideal import pixel_sums, sample_sums
 from gpusim.optics.outside import rule_of
 from gpusim.optics.sampling import frame_start
-from gpusim.optics.weights import electrons_per_content, xyz_per_content
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
 # SciPy's names of the border rules

@@ -2,7 +2,7 @@
 
 Ports: content (bands, rows, cols) float32 or float16, weights (planes, bands) float32 -> planes
 (planes, rows, cols) float32. The weights contain quantum efficiency, light and quadrature
-(`gpusim.optics.weights`); the result has their unit times the content's. Content of float16 takes
+(`gpusim.data.weights`); the result has their unit times the content's. Content of float16 takes
 half the memory and bus. Each sample is widened to float32 exactly before it is weighted, so the
 result equals that for the same values in float32.
 """

@@ -88,8 +88,8 @@ def test_red_blue_knows_a_light_by_surfaces_it_was_not_trained_on(transforms):
     """The classes are 25 MK-1 apart; other surfaces shift the choice by a class or two, not from tungsten to sky."""
     from gpusim.data.lights import illuminant
     from gpusim.data.reflectances import reflectances
+    from gpusim.data.weights import product_weights
     from gpusim.domain.spectrum import photons_from_energy
-    from gpusim.optics.weights import product_weights
 
     surfaces, found = reflectances("macbeth"), {}
     curves, cut = curve("mt9v024"), curve("ir-cut-phone")

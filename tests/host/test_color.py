@@ -8,11 +8,11 @@ from gpusim.data.colorimetry import BRADFORD, cmf
 from gpusim.data.curves import curve
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
+from gpusim.data.weights import product_weights
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
 from gpusim.kernels.processor.color import color
-from gpusim.optics.weights import product_weights
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:[^$]*Aligning", "ignore:[^$]*Matplotlib"

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
+from gpusim.data.weights import product_weights
 from gpusim.domain.errors import BadData
 from gpusim.domain.spectrum import Spectrum
-from gpusim.optics.weights import product_weights
 
 FINE = np.arange(400.0, 700.01, 0.05)
 

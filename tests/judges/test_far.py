@@ -9,13 +9,13 @@ from scipy.interpolate import CubicSpline
 from test_border import camera, images, relative, scene_of, truth
 
 import gpusim as gs
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.kernels.optics.far import far
 from gpusim.optics.otf import transfer
-from gpusim.optics.weights import electrons_per_content
 from gpusim.planner.knobs import border as model
 from gpusim.planner.knobs.farfield import FarField
 

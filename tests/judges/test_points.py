@@ -11,6 +11,7 @@ import pytest
 from devices import ALL_KINDS
 from scipy.special import j1
 
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.content import Cube
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.psf import PointSpread
@@ -18,7 +19,6 @@ from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.highlights import Highlights
-from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.simulator import Simulator
 
 BANDS = np.array([450.0, 500.0, 550.0, 600.0])  # [nm]

@@ -18,13 +18,13 @@ from gpusim.color.rendering import efficiency
 from gpusim.data.charts import chart
 from gpusim.data.colorimetry import cmf
 from gpusim.data.lights import illuminant
+from gpusim.data.weights import product_weights
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.learned import XYZ, Code, FilterTable, Layout
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.scene import Scene
 from gpusim.measure.ideal import pixel_sums
-from gpusim.optics.weights import product_weights
 from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.simulator import Simulator
 

@@ -14,6 +14,7 @@ from gpusim.data.charts import CHARTS, chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import FILES, illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries
+from gpusim.data.weights import xyz_per_content
 from gpusim.domain.content import Picture
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
@@ -33,7 +34,6 @@ from gpusim.io.scene.readers import (
 from gpusim.io.scene.scene_exr import write_scene_exr
 from gpusim.io.scene.scene_planes import write_envi, write_tiff
 from gpusim.io.scene.tiff import SUFFIXES as TIFF
-from gpusim.optics.weights import xyz_per_content
 
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances with unknown light
 

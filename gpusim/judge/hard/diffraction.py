@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.pupil import Pupil, Wavefront
@@ -18,7 +19,6 @@ from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.optics.lengths import transform_lengths
-from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.simulator import Simulator
 
 PLANS: dict[str, dict] = {

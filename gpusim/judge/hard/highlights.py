@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import GpusimError
@@ -11,7 +12,6 @@ from gpusim.domain.scene import Scene, unit_light
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, electrons, mean_of, natural
-from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.simulator import Simulator
 
 

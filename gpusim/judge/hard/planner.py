@@ -7,6 +7,7 @@ import numpy as np
 
 from gpusim.data.charts import chart
 from gpusim.data.reflectances import reflectances
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
 from gpusim.domain.scene import Scene
@@ -16,7 +17,6 @@ from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, as_cube
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.mosaic import mosaic
 from gpusim.optics.fusion import SAMPLED_PERIOD, Response, Spectra, joint_operator
-from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.knobs.spectral import PRIOR
 from gpusim.planner.plan import plan

@@ -6,6 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from gpusim.data.reflectances import reflectances
+from gpusim.data.weights import electrons_per_content
 from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube, Materials
 from gpusim.domain.scene import Scene
@@ -14,7 +15,6 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.judge.hard import truth
 from gpusim.judge.hard.case import Found, case
 from gpusim.judge.hard.scenes import CAMERA, CFA, LIGHT, WAVELENGTHS, mean_of, natural
-from gpusim.optics.weights import electrons_per_content
 from gpusim.pipeline.simulator import Simulator
 
 PATCHES = reflectances("colorchecker")  # 24, at every 5 nm

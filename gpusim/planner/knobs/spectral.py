@@ -7,6 +7,7 @@ from functools import lru_cache
 import numpy as np
 
 from gpusim.data.reflectances import reflectances
+from gpusim.data.weights import sampling_difference
 from gpusim.domain.account import SAFETY, SAMPLING, Bound
 from gpusim.domain.interpolation import is_regular
 from gpusim.domain.spectrum import LINE, Spectrum
@@ -21,7 +22,6 @@ from gpusim.optics.fusion import (
 )
 from gpusim.optics.sampling import pixel_response
 from gpusim.optics.tables import field_tables
-from gpusim.optics.weights import sampling_difference
 from gpusim.optics.windows import Windows
 from gpusim.planner.choices import Fusion, Planes
 from gpusim.planner.facts import Operation
