@@ -11,12 +11,16 @@ from refusals import SMALL, refused, takes
 
 from gpusim.cli.options import _wavelengths
 from gpusim.domain.errors import BadFile, DoesNotFit, OutOfRange, UnknownName
-from gpusim.io.scene.photo import read_samples
+from gpusim.io.scene.photo import open_photo
 from gpusim.io.scene.scenes import open_scene
 
 RANDOM = np.random.default_rng(6)
 RGB16 = RANDOM.integers(0, 65536, (7, 9, 3), np.uint16)
 PHOTON = 1.98644586e-25  # [J m] h c, CODATA 2018, nine digits
+
+
+def stored_samples(path):
+    return open_photo(path).samples
 
 
 # ---- photographs
@@ -32,7 +36,7 @@ def test_opencvs_files_hold_the_same_samples(tmp_path, suffix, kind, channels):
     assert cv2.imwrite(
         str(tmp_path / f"a{suffix}"), codes[..., ::-1] if channels == 3 else codes[..., 0]
     )  # blue first
-    samples = read_samples(tmp_path / f"a{suffix}")
+    samples = stored_samples(tmp_path / f"a{suffix}")
     assert samples.dtype == kind
     np.testing.assert_array_equal(samples, codes)
 
@@ -60,7 +64,7 @@ def test_pillows_tiffs_are_read_as_their_pngs_are(tmp_path, mode, compression):
     picture.save(tmp_path / "a.tif", compression=compression)
     picture.save(tmp_path / "a.png")
     np.testing.assert_array_equal(
-        read_samples(tmp_path / "a.tif"), read_samples(tmp_path / "a.png")
+        stored_samples(tmp_path / "a.tif"), stored_samples(tmp_path / "a.png")
     )
 
 
@@ -76,21 +80,21 @@ def test_orientation_is_pillows(tmp_path, orientation):
     )
     with Image.open(tmp_path / "a.tif") as image:
         seen = np.asarray(ImageOps.exif_transpose(image))
-    np.testing.assert_array_equal(read_samples(tmp_path / "a.tif"), seen)
+    np.testing.assert_array_equal(stored_samples(tmp_path / "a.tif"), seen)
 
 
 def test_white_is_zero_tiles_thumbnails_and_premultiplied_alpha(tmp_path):
     path, grey = tmp_path / "a.tif", RANDOM.integers(0, 256, (70, 90), np.uint8)
     tifffile.imwrite(path, 255 - grey, photometric="miniswhite", tile=(32, 16))
-    np.testing.assert_array_equal(read_samples(path)[..., 0], grey)
+    np.testing.assert_array_equal(stored_samples(path)[..., 0], grey)
     with tifffile.TiffWriter(path) as file:
         file.write(RGB16, photometric="rgb")
         file.write(RGB16[::2, ::2], photometric="rgb", subfiletype=1)
-    np.testing.assert_array_equal(read_samples(path), RGB16)
+    np.testing.assert_array_equal(stored_samples(path), RGB16)
     alpha = np.full((7, 9, 1), 30000, np.uint16)
     for extra, channels in (("assocalpha", 3), ("unassalpha", 4)):
         tifffile.imwrite(path, np.dstack([RGB16, alpha]), photometric="rgb", extrasamples=[extra])
-        assert read_samples(path).shape == (7, 9, channels)
+        assert stored_samples(path).shape == (7, 9, channels)
 
 
 # ---- planes

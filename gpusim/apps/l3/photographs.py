@@ -20,7 +20,7 @@ from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadFile
 from gpusim.domain.learned import Code, FilterTable
 from gpusim.io.camera.learned import write_table
-from gpusim.io.scene.photo import read_samples
+from gpusim.io.scene.photo import open_photo
 
 decode_srgb, encode_srgb = DISPLAYS["srgb"].decode, DISPLAYS["srgb"].encode
 MOSAIC = ("RG", "GB")
@@ -71,11 +71,12 @@ def train(folders, path):
 
 def _rgb(file):
     """Three channels of a photograph, 0 .. 255."""
-    samples = read_samples(file)
-    if samples.shape[-1] != 3 or samples.dtype != np.uint8:
+    photo = open_photo(file)
+    samples = photo.samples
+    if samples.shape[-1] != 3 or samples.dtype != np.uint8 or not photo.coding.is_srgb:
         raise BadFile(
             file,
-            f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in RGB",
+            f"{samples.dtype} of {samples.shape[-1]} channels; wanted a photograph of 8 bits in sRGB",
         )
     return samples
 

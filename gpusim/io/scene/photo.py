@@ -143,11 +143,6 @@ def lift(linear) -> Basis | Materials:
     return Basis(primaries.wavelengths, np.ascontiguousarray(linear, np.float32), primaries.values)
 
 
-def read_samples(path) -> np.ndarray:
-    """Return the stored samples of a PNG, JPEG or TIFF, see Photograph. Raises BadFile, DoesNotFit."""
-    return open_photo(path).samples
-
-
 def open_photo(path, part: int | str | None = None) -> Photograph:
     """Read a PNG, JPEG or TIFF as it is stored; part: see `read_photo`. Raises BadFile, DoesNotFit."""
     from PIL import Image

@@ -153,7 +153,7 @@ def _convert(plane, values, page, number, scale) -> int:
 def read_picture(path, part: int | str | None = None) -> tuple[np.ndarray, dict, list[str]]:
     """Read a photograph: samples, uint8, uint16 or float32, (rows, cols, channels), tags and notes.
 
-    Channels are as in `read_samples`; tags are for `coding_of`. It is turned to its orientation. A
+    Channels are as in `photo.Photograph`; tags are for `coding_of`. It is turned to its orientation. A
     premultiplied alpha is left out, because its background is dark already. part: number of the
     page, from 0. Raises BadFile, DoesNotFit.
     """
