@@ -7,7 +7,6 @@ import numpy as np
 
 from gpusim.domain.errors import BadFile, one_line
 from gpusim.domain.spectrum import RELATIVE, SHARE, Spectrum, energy_from_photons
-from gpusim.domain.units import AXIS, is_inverse
 from gpusim.io.files import name_in_errors, read_cells, read_text, reading
 
 LONGEST = 2**23  # [byte] of a file
@@ -54,17 +53,8 @@ def _read(path, quantities):
     if path.suffix.lower() == ".csv":
         from gpusim.io.scene.spectra import read_spectra
 
-        nm, values = read_spectra(path)
-        heads = [
-            cell for row in read_cells(path, LONGEST)[:1] for cell in row if not _is_number(cell)
-        ]
-        axis = next((cell for cell in heads if AXIS.search(cell)), "")
-        if quantities is LIGHT and axis and is_inverse(axis):
-            raise BadFile(
-                path,
-                f"{one_line(axis, 40)}: power over wave numbers or energy may be per nm or per their unit; wanted "
-                "a column of wavelengths, and power per nm",
-            )
+        nm, values = read_spectra(path, is_density=quantities is LIGHT)
+        heads = [cell for cell in read_cells(path, LONGEST)[0] if not _is_number(cell)]
         return nm, values, " ".join(heads)
     return _read_tm27(path, quantities)
 

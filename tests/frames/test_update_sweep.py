@@ -37,6 +37,7 @@ denoise = 0.5
 shading = true
 defects = "known"
 """
+SENSITIVITY = "{wavelengths_nm = [400, 500, 600, 700], R = [0, 0, 0.9, 0.7], G = [0.1, 1, 0.3, 0], B = [0.8, 0.4, 0, 0]}"
 VALUES = {  # of every key, and of others that it needs
     "optics": {
         "f_number": "2.4",
@@ -71,6 +72,8 @@ VALUES = {  # of every key, and of others that it needs
         "photodetector": '"cmos-photodetector"',
         "ir_cut": '"ir-cut-schott"',
         "qe_ends": '"zero"',
+        "sensitivity": SENSITIVITY,
+        "sensitivity_peak": f"0.4\nsensitivity = {SENSITIVITY}",
         "stacked": "true",
         "cfa": '["BG", "GR"]',
         "exposure_time_ms": "16.0",
@@ -82,6 +85,7 @@ VALUES = {  # of every key, and of others that it needs
         "bits": "12",
         "black_level_dn": "100",
         "gain_dn_per_e": "0.1",
+        "gain_e_per_dn": "10.0",
         "analog_gain": "2.0",
         "analog_offset_e": "20.0",
         "noise_profile": '"shot.dng"',

@@ -162,3 +162,11 @@ def test_a_filter_is_no_lamp(colour, tmp_path):
     path = write_tm27(colour, tmp_path / "f.spdx", POWER / 200, "transmittance")
     with pytest.raises(GpusimError, match="SpectralQuantity 'transmittance'"):
         gs.illuminant(path)
+
+
+def test_radiance_over_wave_numbers_is_refused(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("wavenumber,a\n14000,0.1\n25000,0.2\n")
+    with pytest.raises(BadFile, match="may be per nm or per their unit"):
+        gs.open_scene(path, size=(9, 9), kind="radiance")
+    np.testing.assert_allclose(gs.open_scene(path, size=(9, 9)).wavelengths, [400, 1e7 / 14000])

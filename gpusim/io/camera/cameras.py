@@ -549,7 +549,7 @@ def _table(numbers, heading, values, names, label, has_shares):
     numbers: below `heading`, (L,). values: (C, L) with C names. Raises BadData.
     """
     wavelengths = convert_to_nm(numbers, heading)
-    if is_inverse(heading) and wavelengths[0] > wavelengths[-1]:
+    if is_inverse(heading) and len(numbers) and wavelengths[0] > wavelengths[-1]:
         wavelengths, values = wavelengths[::-1], values[:, ::-1]
     if has_shares:
         names, factors = zip(*map(read_share_heading, names), strict=True)

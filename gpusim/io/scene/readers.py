@@ -231,7 +231,7 @@ def _npy(path, white, wavelengths=None, kind=None, scale=None):
 
 def _csv(path, white, kind=None, scale=None, size=None):
     kind, scale = checked_kind(kind), checked_scale(scale)
-    wavelengths, spectra = read_spectra(path, scale is not None)
+    wavelengths, spectra = read_spectra(path, scale is not None, kind == "radiance")
     with np.errstate(over="ignore"):
         spectra = spectra / (scale or 1.0)
     notes = cut_noise(path, spectra)

@@ -6,10 +6,10 @@ import numpy as np
 
 from gpusim.data.charts import checked_size
 from gpusim.domain.content import Materials
-from gpusim.domain.errors import BadFile, OutOfRange
+from gpusim.domain.errors import BadData, BadFile, OutOfRange, one_line
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import Scene
-from gpusim.domain.units import AXIS, convert_to_nm, read_share_heading
+from gpusim.domain.units import AXIS, convert_to_nm, is_inverse, read_share_heading
 from gpusim.io.files import name_in_errors, read_cells
 
 LONGEST_TABLE = 2**23  # [byte] of text: 1000 spectra of 800 wavelengths
@@ -23,13 +23,16 @@ WANTED = (
 )
 
 
-def read_spectra(path, has_scale: bool = False) -> tuple[np.ndarray, np.ndarray]:
+def read_spectra(
+    path, has_scale: bool = False, is_density: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Read a table of spectra: wavelengths [nm], float64 (L,), and spectra, float64 (spectra, L).
 
     The first column, or the first line, has the wavelengths, sorted ascending here, in the unit that
     their heading names, or nm; see `gpusim.domain.units`. Other headings, and names, are ignored,
-    but percent, unless has_scale: then the caller knows the scale. Separators and comments: see
-    `read_cells`. Raises BadFile, DoesNotFit.
+    but percent, unless has_scale: then the caller knows the scale. is_density: the spectra are light
+    per nm, whose numbers depend on the unit of the axis. Separators and comments: see `read_cells`.
+    Raises BadFile, DoesNotFit.
     """
     cells = read_cells(path, LONGEST_TABLE)
     width = max(map(len, cells), default=0)
@@ -39,7 +42,10 @@ def read_spectra(path, has_scale: bool = False) -> tuple[np.ndarray, np.ndarray]
         raise BadFile(path, f"lines of {min(map(len, cells))} to {width} cells; {WANTED}")
     numbers = np.array([[_number(cell) for cell in row] for row in cells])
     with name_in_errors(path):
-        tables = (_spectra([row[0] for row in cells], numbers), _spectra(cells[0], numbers.T))
+        tables = (
+            _spectra([row[0] for row in cells], numbers, is_density),
+            _spectra(cells[0], numbers.T, is_density),
+        )
     found = [table for table in tables if table]
     if not found or (len(found) > 1 and not AXIS.search(cells[0][0])):
         both = "both the first column and the first line could be wavelengths; "
@@ -69,7 +75,7 @@ def _number(cell):
         return math.nan
 
 
-def _spectra(words, numbers):
+def _spectra(words, numbers, is_density):
     """Return wavelengths [nm] and spectra below them; None if `words` are no wavelengths.
 
     words: the first column. It has wavelengths if they are in order and plausible, below any number
@@ -84,6 +90,11 @@ def _spectra(words, numbers):
     if not len(steps) or not ((steps > 0).all() or (steps < 0).all()):
         return None
     axis = next((word for word in words[:headings] if AXIS.search(word)), "")
+    if axis and is_density and is_inverse(axis):
+        raise BadData(
+            f"heading {one_line(axis, 40)!r}: light over wave numbers or energy may be per nm or per their unit; "
+            "wanted a column of wavelengths, and light per nm"
+        )
     if axis:
         nm = convert_to_nm(nm, axis)
     if SHORTEST <= nm.min() <= nm.max() <= LONGEST:
