@@ -212,6 +212,8 @@ def test_names_that_are_not_there(tmp_path):
     for key, said in (("cube", "no value is named 'cube'"), ("z", "z: an array of complex128")):
         with refused("a.h5", said, error=BadFile):
             gs.open_scene(path, key=key)
+    with refused("a.h5", "wavelengths: 31, wanted an array of three axes", error=BadFile):
+        gs.open_scene(path, key="wavelengths")
     with refused("key", error=OutOfRange):
         gs.open_scene("ramp", key="a")
     with refused("a.h5", "31 wavelengths, but no axis", error=BadFile):
