@@ -67,7 +67,7 @@ def read_cube(
     values = root.leaves()
     if key is not None:
         cubes = [_named(path, values, key)]
-        if len(_lengths(cubes[0])) != 3 and np.size(wavelengths) != 1:
+        if len(_lengths(cubes[0])) != 3 and (wavelengths is None or len(wavelengths) != 1):
             why = f"{cubes[0].label}: {_described(cubes[0])}, wanted an array of three axes"
             raise BadFile(path, why)
     else:
