@@ -170,6 +170,20 @@ def test_bands_out_of_order(tmp_path):
     same(read(tmp_path / "a.mat"), CUBE[..., ::-1])
 
 
+def test_coordinates_and_numbers_of_bands_are_no_wavelengths(tmp_path):
+    """As xarray writes them next to a cube."""
+    values = {"cube": CUBE, "y": np.arange(500, 508.0), "x": np.arange(600, 606.0)}
+    path = hdf5(tmp_path / "a.nc", values | {"band": np.arange(1, 32)})
+    with refused("a.nc", "no wavelengths", error=BadFile):
+        gs.open_scene(path)
+    two = hdf5(tmp_path / "b.nc", {"cube": CUBE[..., :2], "band": np.arange(1, 3)})
+    with refused("b.nc", "no wavelengths", error=BadFile):  # 1 and 2 um
+        gs.open_scene(two)
+    found = read(hdf5(path, values | {"nm": NM}))
+    same(found)
+    assert "not used: x, y" in found[2]
+
+
 def test_two_vectors_of_different_wavelengths_are_refused(tmp_path):
     path = hdf5(tmp_path / "a.h5", {"cube": CUBE, "wave_a": NM, "wave_b": NM + 5})
     with refused("a.h5", "wave_a", "wave_b", "--wavelengths", error=BadFile):
@@ -198,6 +212,8 @@ def test_names_that_are_not_there(tmp_path):
     for key, said in (("cube", "no value is named 'cube'"), ("z", "z: an array of complex128")):
         with refused("a.h5", said, error=BadFile):
             gs.open_scene(path, key=key)
+    with refused("a.h5", "wavelengths: 31, wanted an array of three axes", error=BadFile):
+        gs.open_scene(path, key="wavelengths")
     with refused("key", error=OutOfRange):
         gs.open_scene("ramp", key="a")
     with refused("a.h5", "31 wavelengths, but no axis", error=BadFile):

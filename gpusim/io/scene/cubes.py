@@ -22,6 +22,10 @@ SHORTEST, LONGEST = 200, 2600  # [nm] of vectors that count as wavelengths
 UNITS = NANOMETRES | {"m": 1e9, "meter": 1e9, "meters": 1e9, "metre": 1e9, "metres": 1e9}
 # a vector with such a name has wavelengths even if they are not in order
 WAVELENGTHS = re.compile(r"wave|(^|_)(wl|wls|wvl|wav|lam|nm|lambdas?|bands?|centers?)(_|$)", re.I)
+# vectors along other axes in HDF5; MATLAB's files have none
+OTHERS = re.compile(
+    r"([xyt]|lat.*|lon.*|time|rows?|cols?|columns|lines|samples|east.*|north.*)", re.I
+)
 FILL = ("_FillValue", "missing_value", "Data_Ignore_Value")  # NetCDF's, NEON's
 SCALE, OFFSET = "scale_factor", "add_offset"  # NetCDF's: number * factor + offset
 DIVISOR = "Scale_Factor"  # NEON's: the number that stands for 1
@@ -63,6 +67,9 @@ def read_cube(
     values = root.leaves()
     if key is not None:
         cubes = [_named(path, values, key)]
+        if len(_lengths(cubes[0])) != 3 and (wavelengths is None or len(wavelengths) != 1):
+            why = f"{cubes[0].label}: {_described(cubes[0])}, wanted an array of three axes"
+            raise BadFile(path, why)
     else:
         cubes = [one for one in values if one.kind == "numbers" and len(_lengths(one)) == 3]
     if not cubes:
@@ -158,6 +165,8 @@ def _wavelengths(path, cube, values, root, given):
         if one.kind == "numbers" and one is not cube and len(_lengths(one)) < 2
     ]
     vectors = [one for one in vectors if math.prod(one.shape) in shape]
+    if not cube.rows_first:
+        vectors = [one for one in vectors if not OTHERS.fullmatch(_words(one.label)[-1])]
     named = [one for one in vectors if WAVELENGTHS.search(_words(one.label)[-1])]
     for level in (
         attributes,
@@ -223,7 +232,11 @@ def _nanometres(numbers, unit, label, is_named, source=None):
     if not is_named and not (np.diff(numbers) > 0).all():
         return None
     words = re.split(r"[\s_()\[\]]+", unit.strip().lower())
-    factors = [UNITS[word] for word in words if word in UNITS] or [1, 1e3, 1e9]
+    factors = [UNITS[word] for word in words if word in UNITS]
+    if not factors and np.array_equal(numbers - numbers[0], np.arange(len(numbers))):
+        if numbers[0] in (0, 1):  # numbers of bands
+            return None
+    factors = factors or [1, 1e3, 1e9]
     for factor in factors:
         nm = np.round(numbers * factor, 6)  # 0.57 um is not exact in binary
         if SHORTEST <= nm.min() and nm.max() <= LONGEST:
