@@ -431,16 +431,16 @@ import sys, av
 from pathlib import Path
 from gpusim.apps.video.video_frames import Film
 from gpusim.domain.errors import BadFile
+av.logging.set_level(av.logging.FATAL)  # as another thread of a program may do at any time
+av.logging.set_level = lambda level: None
 for number in range(12):
     try:
         film = Film(Path(sys.argv[1]), "srgb")
-        av.logging.set_level(av.logging.FATAL)  # as programs that use PyAV do
         for scene in film.between(0, film.count):
             pass
         print("read")
     except BadFile as error:
         print("refused", str(error).count(chr(10)))
-    av.logging.set_level(av.logging.FATAL)
 """
 
 
@@ -453,11 +453,11 @@ def test_damaged_videos_are_refused_every_time_whatever_the_log(tmp_path):
     ]
     path = write(tmp_path / "a.mp4", frames, "yuv420p", codec="libx264", g="10", qp="35")
     data = bytearray(path.read_bytes())
-    for place in random.integers(2000, len(data) * 2 // 3, 16):
+    for place in random.integers(len(data) // 4, len(data) * 2 // 3, 16):
         data[place] ^= 0x55
     path.write_bytes(data)
     done = subprocess.run(
-        [sys.executable, "-c", READ, str(path)], capture_output=True, text=True, timeout=120
+        [sys.executable, "-c", READ, str(path)], capture_output=True, text=True, timeout=60
     )
     assert done.stdout.split("\n")[:12] == ["refused 0"] * 12, done.stderr
 
