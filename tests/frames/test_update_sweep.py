@@ -37,7 +37,9 @@ denoise = 0.5
 shading = true
 defects = "known"
 """
-SENSITIVITY = "{wavelengths_nm = [400, 500, 600, 700], R = [0, 0, 0.9, 0.7], G = [0.1, 1, 0.3, 0], B = [0.8, 0.4, 0, 0]}"
+SENSITIVITY = (
+    "{wavelengths_nm = [400, 550, 700], R = [0, 0.5, 0.7], G = [0.1, 1, 0], B = [0.8, 0.2, 0]}"
+)
 VALUES = {  # of every key, and of others that it needs
     "optics": {
         "f_number": "2.4",

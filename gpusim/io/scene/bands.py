@@ -10,7 +10,7 @@ from gpusim.domain.errors import BadFile, OutOfRange
 from gpusim.domain.memory import require_memory
 from gpusim.io.account import note_of
 from gpusim.io.scene.cubes import LONGEST, SHORTEST
-from gpusim.io.scene.photo import ALPHA, read_samples
+from gpusim.io.scene.photo import ALPHA, open_photo
 from gpusim.io.scene.stacks import SAY_WAVELENGTHS, whole_scale
 from gpusim.io.scene.tiff import SUFFIXES as TIFF
 from gpusim.io.scene.tiff import read_stack
@@ -114,8 +114,10 @@ def read_bands(folder: Path, wavelengths=None, scale: float | None = None):
         allowed = f"{count}, one for each of {held.files[0].name} .. {held.files[-1].name}"
         raise OutOfRange("wavelengths", f"{len(nm)} numbers", allowed)
     values, first = None, None
+    more: dict[str, None] = {}
     for number, path in enumerate(held.files):
-        plane, kind = _read_band(path, scale)
+        plane, kind, own = _read_band(path, scale)
+        more |= dict.fromkeys(own)
         if values is None:
             require_memory(f"{folder}: {count} bands of {plane.shape}", 4 * count * plane.size)
             values, first = np.empty((count, *plane.shape), np.float32), kind
@@ -127,14 +129,16 @@ def read_bands(folder: Path, wavelengths=None, scale: float | None = None):
             )
         values[number] = plane
     notes = held.notes if wavelengths is None else tuple(held.notes[held.wavelengths is not None :])
-    return np.asarray(nm, np.float64), values, notes
+    return np.asarray(nm, np.float64), values, (*notes, *more)
 
 
 def _read_band(path, scale):
-    """Return a grey picture as float32 (rows, cols), 1 for `scale`, and the type of its numbers."""
+    """Return a grey picture as float32 (rows, cols), 1 for `scale`, the type of its numbers, and notes."""
     if path.suffix.lower() in TIFF:
-        return read_stack(path, 1, scale)[0], "TIFF"
-    samples = read_samples(path)
+        values, notes = read_stack(path, 1, scale)
+        return values[0], "TIFF", notes
+    photograph = open_photo(path)
+    samples = photograph.samples
     if samples.shape[-1] in ALPHA:
         alpha = samples[..., -1]
         if (alpha != np.iinfo(samples.dtype).max).any():
@@ -144,4 +148,4 @@ def _read_band(path, scale):
         raise BadFile(path, "a picture in colour; a band is a grey picture")
     plane = samples[..., 0].astype(np.float32)
     plane /= np.float32(whole_scale(path, samples.dtype) if scale is None else scale)
-    return plane, str(samples.dtype)
+    return plane, str(samples.dtype), photograph.notes

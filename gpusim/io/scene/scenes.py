@@ -143,7 +143,7 @@ def open_scene(
     elif path.suffix.lower() in SUFFIXES:
         white = white_radiance(illuminant(light or LIGHT), level)
         scene = relight(path, read_scene(path, white, given), light, luminance)
-    elif os.path.isdir(path):
+    elif os.path.isdir(name_or_path):
         white = white_radiance(illuminant(light or LIGHT), level)
         scene = relight(path, read_folder(path, white, given), light, luminance)
     else:
