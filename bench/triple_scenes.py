@@ -18,7 +18,7 @@ import gpusim as gs
 from gpusim.data.lights import white_radiance
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.io.scene.photo import read_samples
+from gpusim.io.scene.photo import open_photo
 
 DEVELOPMENT, HELD_OUT = range(160), range(500, 660)
 KINDS = {
@@ -217,7 +217,7 @@ def _photo(random, samples, _ratio, data):
     if not files:
         return None
     path = files[random.integers(len(files))]
-    codes = read_samples(path)[..., :3]
+    codes = open_photo(path).samples[..., :3]
     at = [
         random.integers(max(have - n, 0) + 1) for n, have in zip(samples, codes.shape, strict=False)
     ]
