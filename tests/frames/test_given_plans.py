@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cameras import PHONE, camera_with
-from devices import ALL_KINDS
+from devices import ALL_KINDS, DEVICES
 from PIL import Image
 
 import gpusim as gs
@@ -503,7 +503,7 @@ def test_the_last_scene_is_planned_again_only_if_its_arrays_changed(
         depth=depth,
     )
     own = PHONE.with_(object_distance_m=2.0)
-    simulator = gs.Simulator(own, device="numpy", tolerance=tolerance)
+    simulator = gs.Simulator(own, device=DEVICES[0], tolerance=tolerance)
 
     def planned(scene):
         before = counted[0]
@@ -512,7 +512,7 @@ def test_the_last_scene_is_planned_again_only_if_its_arrays_changed(
         copied = replace(
             scene, content=gs.Cube(nodes, scene.content.planes.copy()), depth=scene.depth
         )
-        other = gs.Simulator(own, device="numpy", tolerance=tolerance)(copied, seed=3)
+        other = gs.Simulator(own, device=DEVICES[0], tolerance=tolerance)(copied, seed=3)
         np.testing.assert_array_equal(found, other.raw)
         return expected - before
 

@@ -316,7 +316,13 @@ LENSES = {
 }
 
 
-@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize(
+    "lens",
+    [
+        "distortion",
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("six blades", "Seidel")),
+    ],
+)
 @pytest.mark.parametrize(
     "name",
     [
@@ -328,7 +334,7 @@ LENSES = {
     ],
 )
 def test_edges_behind_any_lens_are_those_of_rays(lens, name):
-    """As above: 0.1 sigma at 10,000 electrons behind six blades; and never "met" if it is not so.
+    """As above: 0.15 sigma at 10,000 electrons behind six blades; and never "met" if it is not below 0.1.
 
     A distortion moves steps between samples, of coverage and of light, which are resampled: 0.6 sigma.
     Behind aberrations the sum over the pupil takes rays of a lens without: a wave over the pupil moves
@@ -341,7 +347,7 @@ def test_edges_behind_any_lens_are_those_of_rays(lens, name):
     error, plan = error_in_sigma(layers, optics, points=points, **more)
     own = np.quantile(np.abs(error), 0.999)
     if lens != "Seidel":
-        usual = 0.25 if name in ("slanted", "back in focus") else 0.1
+        usual = 0.25 if name in ("slanted", "back in focus") else 0.15
         assert own < (0.6 if lens == "distortion" else usual)
     assert own < 1.5 * plan.account.total.p999_sigma + 0.03
     if plan.verdict.is_met:
