@@ -38,6 +38,7 @@ class PointSpread:
         distances: Distances of the objects [m], rising, the last one may be infinite, shape (D,):
             D is then the first axis of the values. None: blur at other distances is a model, see
             `gpusim.optics.lens.MeasuredLens`.
+        notes: What of its file is not used; reports repeat them.
 
     Raises:
         BadData: The arrays do not fit one another.
@@ -51,6 +52,7 @@ class PointSpread:
     heights: np.ndarray | None = None
     grid: tuple | None = None
     distances: np.ndarray | None = None
+    notes: tuple[str, ...] = field(default=(), repr=False, metadata={"digest": False})
     _axes: tuple = field(init=False, repr=False, default=())
 
     __repr__ = short_repr

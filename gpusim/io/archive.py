@@ -14,6 +14,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadFile
 from gpusim.domain.memory import require_memory
+from gpusim.io.account import note_of
 from gpusim.io.atomic import atomic_path
 from gpusim.io.files import file_size, open_file, reading
 
@@ -53,6 +54,7 @@ class Archive(Mapping):
     def __init__(self, path, file):
         self.path, self._size = path, file_size(file)
         self._zip, self._members = zipfile.ZipFile(_Bounded(file)), {}  # type: ignore[arg-type]
+        self._used: set[str] = set()
         for info in self._zip.infolist():
             name = info.filename.removesuffix(".npy")
             if name in self._members:
@@ -129,6 +131,7 @@ class Archive(Mapping):
     def __getitem__(self, name) -> np.ndarray:
         """Read an array. Raises KeyError, BadFile."""
         member = self._members[name]
+        self._used.add(name)
         with reading(self.path, WHAT), self._zip.open(member.info) as stream:
             array = np.empty(member.shape[::-1] if member.fortran else member.shape, member.dtype)
             numbers = array.reshape(-1).view(np.uint8).data if member.nbytes else memoryview(b"")
@@ -143,6 +146,10 @@ class Archive(Mapping):
                 if letters.max() > sys.maxunicode:  # else Python raises ValueError
                     raise UnicodeError(f"{member.info.filename!r} holds invalid characters")
         return array.transpose() if member.fortran else array
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a note with the names of the arrays that were not read, or nothing if there are none."""
+        return note_of("keys not used", [name for name in self if name not in self._used])
 
     def require_memory(self, copies: float):
         """Raise DoesNotFit unless all arrays fit as stored plus `copies` of them in float64."""

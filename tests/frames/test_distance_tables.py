@@ -187,5 +187,6 @@ def test_the_file(tmp_path):
         np.testing.assert_array_equal(file["distances_m"], DISTANCES)
         assert file["psf"].shape == (7, 1, SIZE, SIZE)
     again = gs.read_psf(tmp_path / "lens.npz")
+    assert again.notes == ()
     np.testing.assert_array_equal(again.distances, DISTANCES)
     np.testing.assert_allclose(again.values, table().values, rtol=1e-15)

@@ -1,7 +1,9 @@
 """The account of what a reader did not use."""
 
+import numpy as np
 import pytest
 
+import gpusim as gs
 from gpusim.io.account import LONGEST_NOTE, Fields, note_of
 
 
@@ -36,3 +38,22 @@ def test_a_note_is_one_line_of_limited_length(count):
 
 def test_a_name_that_is_empty_is_seen():
     assert note_of("not used", [""]) == ("not used: (no name)",)
+
+
+def test_archives_account_for_their_keys(tmp_path):
+    """Of a scene and of a lens; a camera repeats the lens's."""
+    keys = {"wavelengths_nm": np.array([450.0, 550.0, 650.0]), "kind": "reflectance"}
+    np.savez(tmp_path / "scene.npz", **keys, cube=np.ones((3, 4, 4)), exposure=3.0, foo=np.ones(4))
+    assert gs.open_scene(tmp_path / "scene.npz").notes == ("keys not used: exposure, foo",)
+    gs.save_scene(gs.open_scene(tmp_path / "scene.npz"), tmp_path / "own.npz")
+    assert gs.open_scene(tmp_path / "own.npz").notes == ()
+    lens = {
+        "wavelengths_nm": np.array([360.0, 780.0]),
+        "psf": np.ones((2, 3, 3)),
+        "spacing_um": 0.2,
+    }
+    np.savez(tmp_path / "lens.npz", **lens, serial="12")
+    (tmp_path / "a.toml").write_text(
+        'base = "phone"\n[optics]\nmodel = "measured"\npsf = "lens.npz"\n'
+    )
+    assert gs.open_camera(tmp_path / "a.toml").notes == ("keys not used: serial",)

@@ -301,7 +301,7 @@ def _camera(path, table):
     filters = sensor["filters"] = _efficiency(path, sensor)
     sensor["qe"], sensor["channels"] = filters.of(sensor.get("cfa", Sensor.cfa))
     noise = section_fields(path, table, "noise")
-    notes = getattr(optics.distortion, "notes", ())
+    notes = getattr(optics.distortion, "notes", ()) + getattr(optics.psf, "notes", ())
     if "profile" in sensor:
         notes += _apply_profile(path, sensor, noise)
     sensor["noise"] = _noise(path, noise, sensor)

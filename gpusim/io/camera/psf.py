@@ -57,6 +57,7 @@ def read_psf(path: str | PathLike) -> PointSpread:
             heights,
             tuple(archive[key] for key in axes) or None,
             archive["distances_m"] if "distances_m" in archive else None,
+            archive.notes(),  # of what was not read before
         )
 
 

@@ -162,6 +162,7 @@ class _Archive:
                 for key in sorted(self.stored)
                 if key.startswith(LABEL)
             },
+            notes=self.stored.notes(),  # of what was not read before
         )
 
     def label(self, key):
