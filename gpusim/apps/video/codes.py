@@ -18,22 +18,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from gpusim.apps.video.codecs import EXACT, EXACT_LINEAR, converter
+from gpusim.data.transfers import TRANSFERS, light_of
 from gpusim.domain.display import DISPLAYS, P3_PRIMARIES
 from gpusim.domain.errors import BadData
 
-TRANSFERS = {
-    1: "bt709",
-    6: "bt709",
-    11: "bt709",
-    14: "bt709",
-    15: "bt709",
-    4: "gamma2.2",
-    5: "gamma2.8",
-    8: "linear",
-    13: "srgb",
-    16: "pq",
-    18: "hlg",
-}
 BT709, BT2020 = DISPLAYS["srgb"].primaries, ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046))
 SMPTE170M = ((0.630, 0.340), (0.310, 0.595), (0.155, 0.070))
 BT470BG = ((0.64, 0.33), (0.29, 0.60), (0.15, 0.06))
@@ -62,7 +50,6 @@ MATRIX_OF_PRIMARIES = {1: 1, 5: 5, 6: 6, 7: 7, 9: 9, 12: 1, 22: 5}
 UNTAGGED = (0, 2)
 LIMITED, FULL = 1, 2  # libavutil's ranges
 DEPTHS = (8, 9, 10, 12, 14, 16)  # bits of planar pixel formats
-PQ_WHITE, HLG_WHITE = 203 / 10000, 0.75  # relative to the largest light and the largest code
 
 
 class Tags(NamedTuple):
@@ -99,7 +86,7 @@ class Coding:
     @property
     def curve(self) -> np.ndarray:
         """Light of every RGB code."""
-        return light_of(self.transfer, 65535 if self._is_deep else 255)
+        return _table(self.transfer, 65535 if self._is_deep else 255)
 
     @property
     def _is_deep(self):
@@ -250,25 +237,6 @@ def _guess(tags, layout, cols, rows):
 
 
 @cache
-def light_of(transfer: str, most: int) -> np.ndarray:
-    """Return the light of every code 0 .. most, white 1, float32. transfer: of TRANSFERS."""
-    code = np.arange(most + 1) / most
-    if transfer == "bt709":
-        light = np.where(code < 0.081, code / 4.5, ((code + 0.099) / 1.099) ** (1 / 0.45))
-    elif transfer == "srgb":
-        light = DISPLAYS["srgb"].decode(code)
-    elif transfer == "pq":
-        m1, m2, c1, c2, c3 = 2610 / 16384, 2523 / 32, 3424 / 4096, 2413 / 128, 2392 / 128
-        root = code ** (1 / m2)
-        light = (np.maximum(root - c1, 0) / (c2 - c3 * root)) ** (1 / m1) / PQ_WHITE
-    elif transfer == "hlg":
-        light = _hlg(code) / _hlg(np.array(HLG_WHITE))
-    else:
-        light = code ** {"linear": 1.0, "gamma2.2": 2.2, "gamma2.8": 2.8}[transfer]
-    return light.astype(np.float32)
-
-
-def _hlg(code):
-    a, b = 0.17883277, 0.28466892
-    c = 0.5 - a * np.log(4 * a)
-    return np.where(code <= 0.5, code**2 / 3, (np.exp((np.maximum(code, 0.5) - c) / a) + b) / 12)
+def _table(transfer: str, most: int) -> np.ndarray:
+    """Return the light of every code 0 .. most, white 1, float32."""
+    return light_of(transfer, np.arange(most + 1) / most).astype(np.float32)

@@ -16,10 +16,11 @@ from typing import Any, NoReturn
 import numpy as np
 
 from gpusim.apps.video.codecs import pyav
-from gpusim.apps.video.codes import BT709, TRANSFERS, Tags, read_coding
+from gpusim.apps.video.codes import BT709, Tags, read_coding
 from gpusim.apps.video.crop import Crop, read_crop
 from gpusim.apps.video.scenes import check_size
 from gpusim.apps.video.shape import Turn, read_matrix, square_size
+from gpusim.data.transfers import TRANSFERS
 from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadFile, check_known
 from gpusim.domain.memory import require_memory
@@ -50,7 +51,7 @@ class Film:
 
     Args:
         path: Path of the file.
-        transfer: Transfer function in place of the file's tag, see `codes.TRANSFERS`.
+        transfer: Transfer function in place of the file's tag, one of `gpusim.data.transfers.TRANSFERS`.
         options: Options of `gpusim.picture`.
 
     Attributes:

@@ -17,6 +17,7 @@ import numpy as np
 
 from gpusim.data.colorimetry import adaptation
 from gpusim.data.srgb import srgb_from_rgb, srgb_to_xyz
+from gpusim.data.transfers import HDR_WHITE, TRANSFERS, light_of
 from gpusim.domain.display import DISPLAYS, P3_PRIMARIES
 from gpusim.domain.errors import BadData, BadFile, one_line
 from gpusim.io.files import reading
@@ -39,10 +40,6 @@ PRIMARIES = {
     11: (*P3_PRIMARIES, (0.314, 0.351)),
     12: (*P3_PRIMARIES, D65),
 }
-GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}
-PQ, HLG = 16, 18
-PQ_PEAK, HDR_WHITE = 10_000.0, 203.0  # [cd/m2], ST 2084 and ITU-R BT.2408
-HLG_WHITE = 0.75  # code of white, BT.2408
 LONGEST_CURVE = 65536
 SAME_LIGHT, SAME_MIX = 2e-4, 2e-3  # differences of profiles named sRGB: digits of tables and whites
 LAB = (b"Lab ", 903.2963, 8.0)  # connection space; slope and end of the line of L*
@@ -118,37 +115,19 @@ def adobe_rgb() -> Coding:
 
 def by_h273(most: int, primaries: int, transfer: int, matrix: int, full_range: int) -> Coding:
     """Return the coding of four code points. most: largest code. Raises BadData for unknown ones."""
-    if primaries not in PRIMARIES or matrix != 0 or full_range not in (0, 1):
+    is_known = primaries in PRIMARIES and transfer in TRANSFERS and matrix == 0
+    if not is_known or full_range not in (0, 1):
         raise BadData(f"code points {primaries}, {transfer}, {matrix}, {full_range}")
-    a, b = 0.17883277, 0.28466892
-    c = 0.5 - a * np.log(4 * a)
-
-    def hlg(codes):
-        return np.where(codes <= 0.5, codes**2 / 3, (np.exp((codes - c) / a) + b) / 12)
+    name = TRANSFERS[transfer]
 
     def light(codes):
-        size = np.abs(codes)
-        if transfer in (1, 6, 14, 15):
-            found = np.where(size < 0.081, size / 4.5, ((size + 0.099) / 1.099) ** (1 / 0.45))
-        elif transfer in GAMMAS:
-            found = size ** GAMMAS[transfer]
-        elif transfer == PQ:
-            root = size ** (32 / 2523)
-            bright = np.maximum(root - 3424 / 4096, 0) / (2413 / 128 - 2392 / 128 * root)
-            found = bright ** (16384 / 2610) * PQ_PEAK / HDR_WHITE
-        elif transfer == HLG:
-            found = hlg(size) / hlg(np.array(HLG_WHITE))
-        else:
-            return SRGB.decode(codes)
-        return np.copysign(found, codes)
+        return light_of(name, codes)
 
     def limited(codes):
         unit = (most + 1) // 256  # codes of a step of 8 bits
         return light((codes * most - 16 * unit) / (219 * unit))
 
-    if transfer not in (1, 6, 14, 15, 13, PQ, HLG, *GAMMAS):
-        raise BadData(f"code points {primaries}, {transfer}, {matrix}, {full_range}")
-    white = HDR_WHITE if transfer == PQ else None
+    white = HDR_WHITE if name == "pq" else None
     return by_primaries(light if full_range else limited, PRIMARIES[primaries], white)
 
 
