@@ -19,13 +19,13 @@ from PIL import Image
 
 import gpusim as gs
 from gpusim.apps.video.codecs import CODECS, Encoder
-from gpusim.apps.video.codes import TRANSFERS, light_of
 from gpusim.apps.video.manifest import keep_manifest
 from gpusim.apps.video.pipeline import ahead
 from gpusim.apps.video.segments import Shard, segments_of
 from gpusim.apps.video.video import within_period
 from gpusim.apps.video.video_frames import Film
 from gpusim.cli.main import main
+from gpusim.data.transfers import TRANSFERS, light_of
 from gpusim.domain.errors import BadFile, OutOfRange
 
 COUNT = 8
@@ -222,7 +222,7 @@ def test_light_of_codes_is_that_of_the_standards():
         ("linear", code),
         ("hlg", models.oetf_inverse_BT2100_HLG(code) / models.oetf_inverse_BT2100_HLG(0.75)),
     ):
-        found = light_of(name, 1023)
+        found = light_of(name, code)
         # BT.709's two parts meet to 1e-4 where they are joined; constants of the standards have 4 to 8 digits
         assert np.abs(found - expected).max() < 2e-4 * max(1, expected.max()), name
     assert set(TRANSFERS.values()) == {
@@ -263,7 +263,8 @@ def test_a_film_is_read_as_its_tags_say(bits, tag, tmp_path):
     for first, end in ((0, 5), (3, 5), (2, 4), (0, 1)):
         for number, scene in enumerate(found.between(first, end), first):
             assert np.array_equal(scene.content.codes, codes[number])
-            assert np.array_equal(scene.content.curve, light_of(TRANSFERS[tag], 2**bits - 1))
+            light = light_of(TRANSFERS[tag], np.arange(2**bits) / (2**bits - 1))
+            assert np.array_equal(scene.content.curve, light.astype(np.float32))
 
 
 def test_wide_gamuts_become_srgb_light(tmp_path):

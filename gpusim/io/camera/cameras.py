@@ -297,11 +297,10 @@ def _camera(path, table):
     sensor = section_fields(path, table, "sensor", Sensor)
     if not isinstance(optics.get("transmission", 1.0), float):
         optics["transmission"] = read_curve(path, "[optics] transmission", optics["transmission"])
-    optics = _lens(path, _apply_calibration(path, optics, sensor))
+    optics, notes = _lens(path, _apply_calibration(path, optics, sensor))
     filters = sensor["filters"] = _efficiency(path, sensor)
     sensor["qe"], sensor["channels"] = filters.of(sensor.get("cfa", Sensor.cfa))
     noise = section_fields(path, table, "noise")
-    notes = getattr(optics.distortion, "notes", ()) + getattr(optics.psf, "notes", ())
     if "profile" in sensor:
         notes += _apply_profile(path, sensor, noise)
     sensor["noise"] = _noise(path, noise, sensor)
@@ -396,7 +395,8 @@ def _apply_calibration(path, fields, sensor):
 
 
 def _lens(path, fields):
-    """Return the optics of its fields, with their wavefront and defocus."""
+    """Return the optics of its fields, with their wavefront and defocus, and notes on their files."""
+    notes = getattr(fields.get("distortion"), "notes", ())
     diopters = fields.pop("diopters", None)
     if diopters is not None and "defocus" in fields:
         raise BadFile(path, "[optics] defocus_um and defocus_diopters: wanted one of them")
@@ -416,11 +416,12 @@ def _lens(path, fields):
     if "psf" in fields:
         with _name_key_in_errors(path, "[optics] psf"):
             fields["psf"] = read_psf(path.parent / fields["psf"])
+        notes += fields["psf"].notes
         fields.setdefault("model", "measured")
     optics = Optics(**fields, wavefront=Wavefront(**aberrations))
-    if diopters is None:
-        return optics
-    return dataclasses.replace(optics, defocus=optics.displacement(diopters))
+    if diopters is not None:
+        optics = dataclasses.replace(optics, defocus=optics.displacement(diopters))
+    return optics, notes
 
 
 def _efficiency(path, sensor):
