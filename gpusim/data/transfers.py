@@ -22,7 +22,7 @@ HLG_WHITE = 0.75  # code of white, BT.2408
 
 
 def light_of(transfer: str, code: np.ndarray) -> np.ndarray:
-    """Return the light of codes, black 0 and white 1, of which the largest is 1; codes below 0 mirror those above.
+    """Return the light of codes, black 0 and white 1. The largest code is 1; codes below 0 mirror positive ones.
 
     transfer: one of TRANSFERS. White of PQ and HLG is the graphics' white.
     """

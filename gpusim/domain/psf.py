@@ -131,7 +131,7 @@ class PointSpread:
         """Return the point spreads of several distances as one.
 
         Args:
-            spreads: Those of each distance [m]. They have the same wavelengths, field points and
+            spreads: Point spreads at each distance [m]. They have the same wavelengths, field points and
                 spacing; smaller ones are surrounded with 0.
 
         Returns:
@@ -143,7 +143,9 @@ class PointSpread:
         distances = sorted(spreads)
         every = [spreads[distance] for distance in distances]
         if len(every) < 2 or any(one.distances is not None for one in every):
-            raise BadData("point spreads by distance: wanted those of two or more single distances")
+            raise BadData(
+                "point spreads by distance: wanted two or more, each of a single distance"
+            )
         first = every[0]
         for one, distance in zip(every, distances, strict=True):
             same = [

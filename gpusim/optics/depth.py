@@ -336,8 +336,8 @@ def plan_depth(
         curvature: Circles of confusion that the lens adds to these over the field [pixel]: the
             smallest and the largest.
         is_placed: Whether the lens or a view displaces samples.
-        widest: Largest circle of confusion of which a lens has kernels [pixel].
-        known: Distances of which a lens has kernels, increasing [m]; between them cubics are right. None: any.
+        widest: Largest circle of confusion for which a lens has kernels [pixel].
+        known: Distances for which a lens has kernels, increasing [m]; between them cubics are right. None: any.
 
     Raises:
         BadData: The depth map does not fit.

@@ -146,7 +146,7 @@ class Lens(Protocol):
 
     @property
     def distances(self) -> np.ndarray | None:
-        """Distances [m] of which the lens has kernels, increasing; None: any."""
+        """Distances [m] for which the lens has kernels, increasing; None: any."""
 
     @property
     def distance_model(self) -> str:

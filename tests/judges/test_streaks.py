@@ -69,5 +69,5 @@ def test_streaks_of_a_star(blades, rotation):
     error = np.sqrt(np.mean((found - wanted)[far] ** 2) * far.mean())
     rms = np.sqrt(np.mean(frames[1] ** 2)) / STAR
     predicted = result.plan.account.bounds["highlights"].rms
-    # of a hexagon 1.6 times what is predicted: light is compared at few places
-    assert 0.2 * predicted < error / rms < 2 * predicted
+    # 1.5: the account's margin of predictions
+    assert 0.2 * predicted < error / rms < 1.5 * predicted
