@@ -30,7 +30,7 @@ PERIOD = 1 / 30  # [s] of a video
 STEP = 0.3  # [sample] between instants
 LEAST, MOST = 5, 41  # instants
 FINE = 4000  # parts of the time that a row is open
-MARGIN = 24  # [sample] that a shifted scene fades over
+MARGIN = 200  # [sample] that a shifted scene fades over
 
 
 @dataclass(frozen=True, eq=False)

@@ -233,8 +233,6 @@ class OpenCLDevice(Taped):
         values = [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
         with self._lock:  # a kernel keeps its arguments from being set until it is started
             entry = self._kernel(stage, kernel, defines, args)
-            if 0 in grid:
-                return
             for size, block, offset in self._pieces(tuple(grid), group):
                 event = entry(
                     self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1]

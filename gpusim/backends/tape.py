@@ -304,12 +304,14 @@ class Taped(Device):
     def launch(
         self, stage, kernel, grid, *args, numbers=None, words=None, defines=None, group=None
     ):
+        if 0 in grid:
+            return
         if numbers:
             args = (*args, *last_arguments(numbers, words))
         tape = _current.tape
         if tape is None:
             self._launch(stage, kernel, grid, args, defines or {}, group)
-        elif 0 not in grid:
+        else:
             request = stage, kernel, tuple(grid), group, defines
             command = tape.again(
                 request, self._command, stage, kernel, grid, args, defines or {}, group

@@ -27,6 +27,7 @@ from gpusim.domain.motion import Motion
 from gpusim.domain.scene import Scene
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.lengths import fft_length
@@ -39,7 +40,8 @@ FINEST = 256  # pieces that count as the path itself
 STRAIGHT = 1e-5  # error of a transfer function for which pieces count as the path
 CHECKED = 5  # rows and columns of samples whose paths are compared
 NODES = 17, 5  # rows and columns of nodes of `optics.distort`: rows also stand for times
-SPARE = 16  # [sample] around a path for the tails of its interpolation
+SPARE = 128  # [sample] around a path for the tails of its interpolation
+FADE = 32  # [sample] over which the light beyond fades, so that the picture may be repeated
 CHUNK = 8  # views that are added up at once
 
 
@@ -276,16 +278,12 @@ def convolve(device: Device, path: Path) -> Scene:
     for axis, edges in enumerate(_edges(content.shape, NODES)):
         places = own[..., axis] + (edges[:, None] if axis == 0 else edges)
         seen[axis] += max(0.0, np.abs(places).max() - content.shape[axis] / 2)
-    pad = np.ceil(seen).astype(int)
+    pad = np.ceil(seen).astype(int) + FADE
     shape = tuple(fft_length(n + 2 * more) for n, more in zip(content.shape, pad, strict=True))
     whole = np.zeros((4, 4, 3))
     whole[..., :2], whole[..., 2] = np.rint(common) - pad, 1
     wide = distort(light, device.array(whole[None]), shape, border, device=device)
-    if any(moved := np.abs(points).max(axis=0) > 0):
-        # along the path the mirror image follows: a jump from one end to the other would ring
-        shape = tuple(n * (1 + one) for n, one in zip(shape, moved.tolist(), strict=True))
-        whole[..., :2] = 0
-        wide = distort(wide, device.array(whole[None]), shape, "reflect", device=device)
+    wide = falloff(wide, np.outer(*map(_fade, shape))[None], device=device)
     rows, cols = shape
     fy, fx = np.fft.fftfreq(rows)[:, None], np.arange(cols // 2 + 1) / cols
     table = transfer(fy, fx, points, *shares)
@@ -301,6 +299,13 @@ def convolve(device: Device, path: Path) -> Scene:
     own[..., :2] += pad
     smeared = _look(device, device.stack(found), own, response, border, content.shape)
     return _scene(device, scene, content, smeared)
+
+
+def _fade(size):
+    """Return weights of `size` samples: 1, and 0 at both ends. Their first three derivatives are continuous."""
+    at = np.arange(size)
+    part = np.clip(np.minimum(at, size - 1 - at) / FADE, 0, 1)
+    return (part**4 * (35 - 84 * part + 70 * part**2 - 20 * part**3)).astype(np.float32)
 
 
 def accumulate(device: Device, path: Path, count: int) -> Scene:

@@ -212,7 +212,7 @@ def probes_for(simulator: "Simulator", scene: Scene, view: View, seconds: float)
     question = Question.of(
         scene.viewed(view), simulator.camera, Facts.of(scene), None, **_plan_options(simulator)
     )
-    question, picture = highlights.split(question)
+    picture = highlights.whole(question)  # of which no light is split off while it moves
     return spectral.probes_of(question, picture, picture.operation(question, seconds))
 
 

@@ -543,3 +543,13 @@ def test_work_is_in_turn_with_a_callers_stream(device="warp:cuda:0"):
         np.testing.assert_array_equal(found.cpu().numpy().view(np.uint16), wanted)
     with pytest.raises(BadData, match="CUDA stream: "), simulator.device.on_stream("first"):
         pass
+
+
+@pytest.mark.parametrize("name", DEVICES)
+def test_a_launch_without_work_is_no_work(name):
+    """Also in a timed block."""
+    device = open_device(name)
+    nothing, out = device.empty((0, 4)), device.array(np.ones((2, 4), np.float32))
+    with device.timed() as ms:
+        device.launch("common.copy", "copy", (0,), nothing, out, 0)
+    assert not ms and np.array_equal(device.numpy(out), np.ones((2, 4)))

@@ -159,3 +159,28 @@ def test_a_smear_does_not_ring_from_one_end_of_the_scene_to_the_other(axis):
     for end, level in zip(ends, (0.4, 1.6), strict=True):
         # the step's own waves at half a cycle a sample: 1e-5 of it
         assert np.abs(end / COLOR[:, None, None] - level).max() < 5e-5
+
+
+def test_a_bright_border_does_not_ring_from_afar():
+    """The first column, and all beyond it, is bright: its band-limited waves fall as 1 over the distance.
+
+    The truth is a row of 8192 samples beyond each side that fades over half of them. The smear repeats a world of
+    N = 64 + 2 (128 + 32) samples or more, so its waves are 1 / (N tan(pi x / N)) and not 1 / (pi x): at x <= 64 they
+    differ by pi x / (3 N^2) of the step.
+    """
+    low, high, n, far = 300.0, 1000.0, 64, 8192
+    values = np.full((24, n), low)
+    values[:, 0] = high
+    cube = (COLOR[:, None, None] * values).astype(np.float32)
+    scene = Scene(gs.Cube(WAVELENGTHS, cube), LIGHT, border="edge")
+    path = Path(scene, gs.Motion(pan=(83.0, 145.0)), 0.0, SECONDS, 0.0)
+    found = convolve(open_device("numpy"), path).content.on_host().planes / COLOR[:, None, None]
+    wide = np.pad(values[0], far, mode="edge")
+    fade = np.clip(np.minimum(np.arange(wide.size), np.arange(wide.size)[::-1]) / (far / 2), 0, 1)
+    f = np.fft.rfftfreq(wide.size)
+    # the mean of exp(2 pi i f x) over x from 0 to 1.45
+    moved = np.exp(1j * np.pi * f * 1.45) * np.sinc(f * 1.45)
+    wave = np.fft.irfft(np.fft.rfft(wide * (1 - np.cos(np.pi * fade)) / 2) * moved, wide.size)
+    error = np.abs(found - wave[far : far + n])
+    world = n + 2 * (128 + 32)
+    assert error.max() < (high - low) * np.pi * n / (3 * world**2)
