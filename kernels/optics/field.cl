@@ -7,24 +7,25 @@ __kernel void weigh(
     // in:
     __global const float *restrict planes, __global const float *restrict coefficients,
     __global const int *restrict edges_y, __global const int *restrict edges_x,
-    __global const int *restrict order,  // number of each tile
-    __global const int *restrict used,   // number of each term
+    __global const int2 *restrict pairs,  // number of the tile, number of the term
+    __global const int *restrict lights,  // number of each plane
     // out:
-    __global float *restrict weighted,   // [tiles][terms][period_y][period_x]
+    __global float *restrict weighted,    // [lights][count][period_y][period_x]
     // params:
-    const float threshold, const int plane, const int border,
+    const float threshold, const int begin, const int border,
     // sizes:
-    const int rows, const int cols, const int tiles_x, const int terms, const int size, const int period_y,
+    const int rows, const int cols, const int tiles_x, const int count, const int size, const int period_y,
     const int period_x)
 {
     const int x = get_global_id(0), y = get_global_id(1), k = get_global_id(2);
     GUARD(x >= period_x || y >= period_y || k >= size)
-    const int tile = order[k / terms], ty = tile / tiles_x, tx = tile % tiles_x;
+    const int2 pair = pairs[begin + k % count];
+    const int ty = pair.x / tiles_x, tx = pair.x % tiles_x, plane = lights[k / count];
     const int v = edges_y[ty] + y, u = edges_x[tx] + x;
     const int in_tile = v < edges_y[ty + 1] && u < edges_x[tx + 1];
     const int cy = clamp(v, 0, rows - 1), cx = clamp(u, 0, cols - 1);
     const float value = planes[((size_t)plane * rows + inside(v, rows, border)) * cols + inside(u, cols, border)];
-    const float weight = coefficients[((size_t)used[k % terms] * rows + cy) * cols + cx];
+    const float weight = coefficients[((size_t)pair.y * rows + cy) * cols + cx];
     const int kept = in_tile && value <= threshold && (border != 0 || (cy == v && cx == u));
     weighted[((size_t)k * period_y + y) * period_x + x] = kept ? weight * value : 0.0f;
 }
@@ -32,9 +33,11 @@ __kernel void weigh(
 __kernel void combine(
     // in:
     __global const float2 *restrict tables,   // [kernels][own][period_y][half]
-    __global const float *restrict weights,   // [terms][kernels]
+    __global const float *restrict weights,   // [pairs][kernels]
     // out:
-    __global float2 *restrict combined,       // [terms][own][period_y][half]
+    __global float2 *restrict combined,       // [size / own][own][period_y][half]
+    // params:
+    const int begin,
     // sizes:
     const int kernels, const int own, const int size, const int period_y, const int half_x)
 {
@@ -43,42 +46,46 @@ __kernel void combine(
     const size_t frame = (size_t)period_y * half_x, at = (size_t)y * half_x + x;
     float2 total = (float2)(0.0f, 0.0f);
     for (int j = 0; j < kernels; ++j)
-        total += weights[(size_t)(k / own) * kernels + j] * tables[((size_t)j * own + k % own) * frame + at];
+        total += weights[(size_t)(begin + k / own) * kernels + j] * tables[((size_t)j * own + k % own) * frame + at];
     combined[k * frame + at] = total;
 }
 
-#ifdef TERMS
+#ifdef CHANNELS
 __kernel void accumulate(
     // in:
-    __global const float2 *restrict spectra,  // [tiles][TERMS][period_y][pitch]
-    __global const float2 *restrict tables,   // [kernels][own][period_y][half]
-    __global const int *restrict index,       // [tiles][TERMS]
-    __global const float *restrict mix,       // [CHANNELS]
+    __global const float2 *restrict spectra,  // [lights][pairs][period_y][pitch]
+    __global const float2 *restrict tables,   // [kernels or pairs][own][period_y][half]
+    __global const int *restrict kernel_of,   // number of each pair's kernel, if tables are of kernels
+    __global const int *restrict ends,        // first pair of each tile
+    __global const int *restrict light_of,    // number of each plane's light
+    __global const float *restrict mix,       // [CHANNELS][planes]
     // out:
     __global float2 *restrict sums,           // [CHANNELS][tiles][period_y][pitch]
     // params:
-    const int is_first, const int plane,
+    const int first, const int are_summed,
     // sizes:
-    const int tiles, const int period_y, const int half_x, const int pitch, const int own)
+    const int pairs, const int planes, const int tiles, const int period_y, const int half_x, const int pitch,
+    const int own)
 {
     const int x = get_global_id(0), y = get_global_id(1), t = get_global_id(2);
     GUARD(x >= half_x || y >= period_y || t >= tiles)
     const size_t at = (size_t)y * pitch + x, frame = (size_t)period_y * pitch;
-    float re = 0.0f, im = 0.0f;
-#pragma unroll
-    for (int k = 0; k < TERMS; ++k) {
-        const float2 value = spectra[(t * TERMS + k) * frame + at];
-        const size_t kernel_at = (size_t)index[t * TERMS + k] * own + plane;
-        const float2 table = tables[(kernel_at * period_y + y) * half_x + x];
-        re += table.x * value.x - table.y * value.y;
-        im += table.x * value.y + table.y * value.x;
+    const int begin = ends[first], from = ends[first + t], to = ends[first + t + 1];
+    float2 total[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c) total[c] = (float2)(0.0f, 0.0f);
+    for (int p = 0; p < planes; ++p) {
+        const size_t of_light = (size_t)light_of[p] * pairs;
+        float re = 0.0f, im = 0.0f;
+        for (int k = from; k < to; ++k) {
+            const float2 value = spectra[(of_light + k - begin) * frame + at];
+            const size_t kernel_at = (size_t)(are_summed ? k - begin : kernel_of[k]) * own + min(p, own - 1);
+            const float2 table = tables[(kernel_at * period_y + y) * half_x + x];
+            re += table.x * value.x - table.y * value.y;
+            im += table.x * value.y + table.y * value.x;
+        }
+        for (int c = 0; c < CHANNELS; ++c) total[c] += mix[c * planes + p] * (float2)(re, im);
     }
-#pragma unroll
-    for (int c = 0; c < CHANNELS; ++c) {
-        const size_t to = (size_t)(c * tiles + t) * frame + at;
-        const float2 before = is_first ? (float2)(0.0f, 0.0f) : sums[to];
-        sums[to] = before + mix[c] * (float2)(re, im);
-    }
+    for (int c = 0; c < CHANNELS; ++c) sums[(size_t)(c * tiles + t) * frame + at] = total[c];
 }
 #endif
 

@@ -171,66 +171,52 @@ def _on_device(device, it):
     """Return blurred tiles in the order of the groups, (channels, tiles, *period), by transforms of many at once."""
     _, rows, cols = it.planes.shape
     channels, half, period, own = len(it.mix), it.tables.shape[2], it.period, it.own
-    edges_y, edges_x = (device.array(edge, np.int32) for edge in it.edges)
+    lights, light_of = np.unique(it.sources, return_inverse=True)
     padded = device.empty((channels, it.tiles, *period))
-    at_once = BATCH_BYTES * (64 if device.is_gpu else 1)
-    launch = functools.partial(device.launch, "optics.field")
-    first = 0
-    for numbers, members in it.groups:
-        terms, used = len(numbers), device.array(numbers, np.int32)
-        # the terms' own tables, if kernels are summed
-        each = 4 * terms * period[0] * period[1] * (1 if it.index.ndim == 2 else own)
-        batch = max(1, at_once // each)
-        for chosen in np.split(members, range(batch, len(members), batch)):
-            size, own_tiles = len(chosen), device.array(chosen, np.int32)
-            if it.index.ndim == 2:
-                of_tiles, at = it.tables, it.index[chosen]
-            else:
-                of_tiles = _combine(device, it.tables, it.index[chosen][:, numbers], own)
-                at = np.arange(size * terms).reshape(size, terms)
-            at, sums, spectra, seen = device.array(at, np.int32), None, None, -1
-            for p, source in enumerate(it.sources):
-                if source != seen:
-                    weighted, seen = device.empty((size * terms, *period)), source
-                    arrays = [
-                        it.planes,
-                        it.coefficients,
-                        edges_y,
-                        edges_x,
-                        own_tiles,
-                        used,
-                        weighted,
-                    ]
-                    settings = [it.limit, int(source), BORDERS[it.border]]
-                    sizes = [rows, cols, len(it.edges[1]) - 1, terms, *weighted.shape]
-                    launch("weigh", weighted.shape, *arrays, *settings, *sizes)
-                    spectra = fft.forward(device, weighted)
-                pitch = spectra.shape[2]
-                if sums is None:
-                    sums = device.empty((channels * size, period[0], pitch, 2))
-                arrays = [spectra, of_tiles, at, device.array(it.mix[:, p]), sums]
-                settings = [int(p == 0), min(p, own - 1), *warp_only(device, terms, channels)]
-                sizes = [size, period[0], half, pitch, own]
-                grid = (size, period[0], half)
-                defines = {"TERMS": terms, "CHANNELS": channels}
-                launch("accumulate", grid, *arrays, *settings, *sizes, defines=defines)
-            blurred = fft.inverse(device, sums, period[1])
-            sizes = [first, channels, size, padded.shape[1], *period]
-            launch("keep", (channels * size, *period), blurred, padded, *sizes)
-            first += size
-    return padded
-
-
-def _combine(device, tables, weights, own):
-    """Return the tables of each tile's terms: sums of the kernels' tables times weights (tiles, terms, kernels)."""
-    size, terms, count = weights.shape
-    _, rows, half, _ = tables.shape
-    combined = device.empty((size * terms * own, rows, half, 2))
-    arrays = [tables, device.array(weights.reshape(size * terms, count)), combined]
-    device.launch(
-        "optics.field", "combine", combined.shape[:3], *arrays, count, own, *combined.shape[:3]
+    # pairs of a tile and a term, tile by tile
+    found = [(t, k) for terms, members in it.groups for t in members for k in terms]
+    pairs = np.array(found, int).reshape(-1, 2)
+    counts = [len(terms) for terms, members in it.groups for _ in members]
+    ends = np.cumsum([0, *counts], dtype=int)
+    own_terms = it.index[*pairs.T]  # kernel of each, or the weights of the kernels
+    are_summed = own_terms.ndim == 2
+    pairs, ends_there, lights, light_of = (
+        device.array(one, np.int32) for one in (pairs, ends, lights, light_of)
     )
-    return combined
+    edges = [device.array(edge, np.int32) for edge in it.edges]
+    own_terms = device.array(own_terms, np.float32 if are_summed else np.int32)
+    mix = device.array(it.mix)
+    planes = lights.shape[0]
+    each = 4 * period[0] * period[1] * (planes + own * are_summed)
+    at_once = max(BATCH_BYTES * (64 if device.is_gpu else 1) // each, 1)
+    launch, first = functools.partial(device.launch, "optics.field"), 0
+    while first < len(counts):
+        begin = int(ends[first])
+        last = max(int(np.searchsorted(ends, begin + at_once, side="right")) - 1, first + 1)
+        size, count = last - first, int(ends[last]) - begin
+        tables = it.tables
+        if are_summed:
+            tables = device.empty((count * own, *it.tables.shape[1:]))
+            sizes = [own_terms.shape[1], own, *tables.shape[:3]]
+            launch("combine", tables.shape[:3], it.tables, own_terms, tables, begin, *sizes)
+        weighted = device.empty((planes * count, *period))
+        arrays = [it.planes, it.coefficients, *edges, pairs, lights, weighted]
+        sizes = [rows, cols, len(it.edges[1]) - 1, count, *weighted.shape]
+        launch("weigh", weighted.shape, *arrays, it.limit, begin, BORDERS[it.border], *sizes)
+        spectra = fft.forward(device, weighted)
+        pitch = spectra.shape[2]
+        sums = device.empty((channels * size, period[0], pitch, 2))
+        at = ends_there if are_summed else own_terms
+        arrays = [spectra, tables, at, ends_there, light_of, mix, sums]
+        settings = [first, int(are_summed), *warp_only(device, channels)]
+        sizes = [count, len(it.sources), size, period[0], half, pitch, own]
+        grid, defines = (size, period[0], half), {"CHANNELS": channels}
+        launch("accumulate", grid, *arrays, *settings, *sizes, defines=defines)
+        blurred = fft.inverse(device, sums, period[1])
+        sizes = [first, channels, size, padded.shape[1], *period]
+        launch("keep", (channels * size, *period), blurred, padded, *sizes)
+        first = last
+    return padded
 
 
 def _on_host(device, it):

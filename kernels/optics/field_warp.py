@@ -15,35 +15,36 @@ def weigh(
     coefficients: wp.array3d[float],
     edges_y: wp.array[int],
     edges_x: wp.array[int],
-    order: wp.array[int],
-    used: wp.array[int],
+    pairs: wp.array2d[int],
+    lights: wp.array[int],
     # out:
     weighted: wp.array3d[float],
     # params:
     threshold: float,
-    plane: int,
+    begin: int,
     border: int,
     # sizes:
     rows: int,
     cols: int,
     tiles_x: int,
-    terms: int,
+    count: int,
     size: int,
     period_y: int,
     period_x: int,
 ):
     k, y, x = wp.tid()
-    tile = order[k / terms]
+    pair = begin + k % count
+    tile = pairs[pair, 0]
     ty = tile / tiles_x
     tx = tile % tiles_x
     v = edges_y[ty] + y
     u = edges_x[tx] + x
     value = float(0.0)
     if v < edges_y[ty + 1] and u < edges_x[tx + 1]:
-        value = value_at(planes, plane, v, u, rows, cols, border)
+        value = value_at(planes, lights[k / count], v, u, rows, cols, border)
         if value > threshold:
             value = 0.0
-        value *= coefficients[used[k % terms], wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
+        value *= coefficients[pairs[pair, 1], wp.clamp(v, 0, rows - 1), wp.clamp(u, 0, cols - 1)]
     weighted[k, y, x] = value
 
 
@@ -54,6 +55,8 @@ def combine(
     weights: wp.array2d[float],
     # out:
     combined: wp.array4d[float],
+    # params:
+    begin: int,
     # sizes:
     kernels: int,
     own: int,
@@ -65,7 +68,7 @@ def combine(
     total = wp.vec2(0.0, 0.0)
     for j in range(kernels):
         at = j * own + k % own
-        total += weights[k / own, j] * wp.vec2(tables[at, y, x, 0], tables[at, y, x, 1])
+        total += weights[begin + k / own, j] * wp.vec2(tables[at, y, x, 0], tables[at, y, x, 1])
     combined[k, y, x, 0] = total[0]
     combined[k, y, x, 1] = total[1]
 
@@ -75,16 +78,19 @@ def accumulate(
     # in:
     spectra: wp.array4d[float],
     tables: wp.array4d[float],
-    index: wp.array2d[int],
-    mix: wp.array[float],
+    kernel_of: wp.array[int],
+    ends: wp.array[int],
+    light_of: wp.array[int],
+    mix: wp.array2d[float],
     # out:
     sums: wp.array4d[float],
     # params:
-    is_first: int,
-    plane: int,
-    # sizes:
-    terms: int,
+    first: int,
+    are_summed: int,
     channels: int,
+    # sizes:
+    pairs: int,
+    planes: int,
     tiles: int,
     period_y: int,
     half_x: int,
@@ -92,23 +98,29 @@ def accumulate(
     own: int,
 ):
     t, y, x = wp.tid()
-    re = float(0.0)
-    im = float(0.0)
-    for k in range(terms):
-        a = spectra[t * terms + k, y, x, 0]
-        b = spectra[t * terms + k, y, x, 1]
-        at = index[t, k] * own + plane
-        c = tables[at, y, x, 0]
-        d = tables[at, y, x, 1]
-        re += c * a - d * b
-        im += c * b + d * a
-    for c in range(channels):
-        to = c * tiles + t
-        before = wp.vec2(0.0, 0.0)
-        if is_first == 0:
-            before = wp.vec2(sums[to, y, x, 0], sums[to, y, x, 1])
-        sums[to, y, x, 0] = before[0] + mix[c] * re
-        sums[to, y, x, 1] = before[1] + mix[c] * im
+    begin = ends[first]
+    for p in range(planes):
+        re = float(0.0)
+        im = float(0.0)
+        for k in range(ends[first + t], ends[first + t + 1]):
+            at = light_of[p] * pairs + k - begin
+            a = spectra[at, y, x, 0]
+            b = spectra[at, y, x, 1]
+            kernel = k - begin
+            if are_summed == 0:
+                kernel = kernel_of[k]
+            kernel = kernel * own + wp.min(p, own - 1)
+            c = tables[kernel, y, x, 0]
+            d = tables[kernel, y, x, 1]
+            re += c * a - d * b
+            im += c * b + d * a
+        for c in range(channels):
+            to = c * tiles + t
+            before = wp.vec2(0.0, 0.0)
+            if p > 0:
+                before = wp.vec2(sums[to, y, x, 0], sums[to, y, x, 1])
+            sums[to, y, x, 0] = before[0] + mix[c, p] * re
+            sums[to, y, x, 1] = before[1] + mix[c, p] * im
 
 
 @wp.kernel
