@@ -220,7 +220,7 @@ class _Groups:
             return composed
         moved = tables.displacement(self._plan)
         base = self._move(composed, [-one for one in moved])
-        changed = occlude(
+        change = occlude(
             base,
             device.stack([light for light, _ in self._sharp]),
             device.stack([device.part(cover, 0) for _, cover in self._sharp]),
@@ -230,10 +230,10 @@ class _Groups:
             found.points,
             self._border,
             margin=self._margin,
+            change=True,
             device=device,
         )
         _, smooth = tables.in_focus(self._plan)
-        change = _mix([(1, changed), (-1, base)], device)
         if not any(moved):
             return self._spread(change, smooth, base=composed)
         return _mix([(1, composed), (1, self._move(self._spread(change, smooth), moved))], device)
@@ -260,20 +260,19 @@ class _Groups:
             if behind is not None:
                 table = sampled if is_sharp else smooth
                 hidden = falloff(behind, alpha, device=device)
-                product = falloff(
-                    self._spread(behind, table, self._border),
-                    self._spread(alpha, table),
-                    device=device,
-                )
-                change = self._spread(hidden, table, self._border, product, -1)
+                spread = self._spread(behind, table, self._border)
+                alpha = self._spread(alpha, table)
+                # the change of the nearest is added to the composed channels
+                base = composed if group == 0 else None
                 if more is not None:
-                    parts = [(1, change), (1, more), (-1, falloff(more, cover, device=device))]
-                    change = _mix(parts, device)
-                more = change
-                if group:  # there are nearer ones
+                    parts = [(1, more), (-1, falloff(more, cover, device=device))]
+                    base = _mix(parts if base is None else [(1, base), *parts], device)
+                product = falloff(spread, alpha, base, device=device)
+                more = self._spread(hidden, table, self._border, product, -1)
+                if group:
                     light = _mix([(1, light), (1, behind), (-1, hidden)], device)
             behind = light
-        return _mix([(1, composed), (1, more)], device)
+        return more
 
     def _spread(self, fields, table, border="edge", base=None, factor=1):
         """Return a base plus fields, one of each channel or one of all, times a factor and blurred in focus."""
