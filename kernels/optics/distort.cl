@@ -196,18 +196,27 @@ __kernel void clear(
 #ifndef COVERS
 #define COVERS 0
 #endif
-// Four samples of a row: neighbours, or folded back at the border.
-float4 four(__global const float *restrict plane, const int is_inside, const int4 at)
+// 4 x 4 samples: neighbours, or folded back at the border. rows: where these begin; columns: from there on.
+void load(__global const float *restrict plane, const int is_inside, const int4 rows, const int4 columns, float4 *values)
 {
-    if (is_inside) return vload4(0, plane + at.x);
-    return (float4)(plane[at.x], plane[at.y], plane[at.z], plane[at.w]);
+    const int row[4] = {rows.x, rows.y, rows.z, rows.w};
+    if (is_inside) {
+#pragma unroll
+        for (int k = 0; k < 4; ++k) values[k] = vload4(0, plane + row[k] + columns.x);
+    } else {
+#pragma unroll
+        for (int k = 0; k < 4; ++k) {
+            __global const float *at = plane + row[k];
+            values[k] = (float4)(at[columns.x], at[columns.y], at[columns.z], at[columns.w]);
+        }
+    }
 }
 
-float total_of(__global const float *restrict plane, const int is_inside, const int4 *from, const float *weights)
+float total_of(const float4 *values, const float *weights)
 {
     float4 total = (float4)(0.0f);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) total += vload4(k, weights) * four(plane, is_inside, from[k]);
+    for (int k = 0; k < 4; ++k) total += vload4(k, weights) * values[k];
     return (total.x + total.y) + (total.z + total.w);
 }
 
@@ -237,17 +246,19 @@ __kernel void limited(
     const int4 sx = (int4)(inside(at_x.x, source_cols, BORDER), inside(at_x.y, source_cols, BORDER),
                            inside(at_x.z, source_cols, BORDER), inside(at_x.w, source_cols, BORDER));
     float w[16], rest[16];
-    float4 lowest = (float4)(1.0f);
-    int4 from[4];
+    float4 lowest = (float4)(1.0f), values[4];
+    int line_of[4];
 #if COVERS
     float of_cover[16];
 #endif
 #pragma unroll
+    for (int k = 0; k < 4; ++k) line_of[k] = inside(first_y + k, source_rows, BORDER) * source_cols;
+    const int4 from = (int4)(line_of[0], line_of[1], line_of[2], line_of[3]);
+    load(share, is_inside, from, sx, values);
+#pragma unroll
     for (int k = 0; k < 4; ++k) {
-        const int sy = inside(first_y + k, source_rows, BORDER);
-        from[k] = sy * source_cols + sx;
-        const float4 part = four(share, is_inside, from[k]);
-        const int4 kept = BORDER == 0 ? (sx == at_x) & -(sy == first_y + k) : (int4)(-1);
+        const float4 part = values[k];
+        const int4 kept = BORDER == 0 ? (sx == at_x) & -(line_of[k] == (first_y + k) * source_cols) : (int4)(-1);
         lowest = fmin(lowest, part);
         vstore4(select((float4)(0.0f), at.z * in_y[k] * wx * part, kept), k, w);
         vstore4(select((float4)(0.0f), 1.0f - part, kept), k, rest);
@@ -266,9 +277,13 @@ __kernel void limited(
         const float y11 = c11.x - floor_y + 2.0f, y01 = c01.x - floor_y + 1.0f;
         const float x00 = c00.y - floor_x + 1.0f, x10 = c10.y - floor_x + 1.0f;
         const float x11 = c11.y - floor_x + 2.0f, x01 = c01.y - floor_x + 2.0f;
+        const float top_y = fmin(fmin(y00, y01), fmin(y10, y11)), end_y = fmax(fmax(y00, y01), fmax(y10, y11));
+        const float top_x = fmin(fmin(x00, x01), fmin(x10, x11)), end_x = fmax(fmax(x00, x01), fmax(x10, x11));
         float overlaps[16], whole = 0.0f;
         for (int k = 0; k < 16; ++k) {
             const float a = k / 4, b = k % 4;
+            overlaps[k] = 0.0f;
+            if (a >= end_y || b >= end_x || a + 1.0f <= top_y || b + 1.0f <= top_x) continue;
             const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
                                 + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
             overlaps[k] = fmax(overlap, 0.0f);
@@ -277,21 +292,24 @@ __kernel void limited(
         const float per = at.z / whole;
         for (int k = 0; k < 16; ++k) w[k] += per * overlaps[k] * rest[k];
 #if COVERS
-        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - share[((int *)from)[k]]);
+        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - ((float *)values)[k]);
 #endif
     }
 #if COVERS
 #pragma unroll
-    for (int p = 0; p < (m == 0 ? COVERS : 0); ++p)  // by the first grid
-        out[((size_t)(maps * PLANES + p) * rows + y) * cols + x] =
-            total_of(cover + (size_t)p * source_rows * source_cols, is_inside, from, of_cover);
+    for (int p = 0; p < (m == 0 ? COVERS : 0); ++p) {  // by the first grid
+        load(cover + (size_t)p * source_rows * source_cols, is_inside, from, sx, values);
+        out[((size_t)(maps * PLANES + p) * rows + y) * cols + x] = total_of(values, of_cover);
+    }
+    load(cover, is_inside, from, sx, values);
 #pragma unroll
-    for (int k = 0; k < 4; ++k) vstore4(vload4(k, w) * four(cover, is_inside, from[k]), k, w);
+    for (int k = 0; k < 4; ++k) vstore4(vload4(k, w) * values[k], k, w);
 #endif
 #pragma unroll
-    for (int p = 0; p < PLANES; ++p)
-        out[((size_t)(m * PLANES + p) * rows + y) * cols + x] =
-            total_of(planes + (size_t)(m * PLANES + p) * source_rows * source_cols, is_inside, from, w);
+    for (int p = 0; p < PLANES; ++p) {
+        load(planes + (size_t)(m * PLANES + p) * source_rows * source_cols, is_inside, from, sx, values);
+        out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = total_of(values, w);
+    }
 }
 
 #ifdef SPAN
