@@ -11,6 +11,7 @@ import numpy as np
 
 from gpusim.optics.otf import UNTHREADED
 
+NARROWEST = 64  # columns of a piece, at least
 LONGEST = 256  # terms of a sum in one piece: pieces are at least 32 x 32 then
 
 
@@ -90,6 +91,24 @@ def multiply(a: np.ndarray, b: np.ndarray) -> np.ndarray:
             for k in range(terms, length, terms):
                 piece += left[:, k : k + terms] @ right[k : k + terms]
     return out
+
+
+def multiply_wide(a: np.ndarray, b: np.ndarray, out: np.ndarray) -> None:
+    """Write a @ b, of many columns, to `out`: like `multiply`, but NumPy walks over the pieces."""
+    step = UNTHREADED // (NARROWEST * a.shape[1])
+    if not step:
+        out[:] = multiply(a, b)
+        return
+    for first in range(0, len(a), step):
+        left, to = a[first : first + step], out[first : first + step]
+        side = UNTHREADED // left.size
+        whole = b.shape[1] // side * side
+        pieces, results = (
+            values[:, :whole].reshape(len(values), -1, side).transpose(1, 0, 2)
+            for values in (b, to)
+        )
+        np.matmul(left, pieces, out=results)
+        np.matmul(left, b[:, whole:], out=to[:, whole:])
 
 
 def _parts(values, axis):

@@ -220,7 +220,7 @@ class _Groups:
             return composed
         moved = tables.displacement(self._plan)
         base = self._move(composed, [-one for one in moved])
-        changed = occlude(
+        change = occlude(
             base,
             device.stack([light for light, _ in self._sharp]),
             device.stack([device.part(cover, 0) for _, cover in self._sharp]),
@@ -230,11 +230,13 @@ class _Groups:
             found.points,
             self._border,
             margin=self._margin,
+            change=True,
             device=device,
         )
         _, smooth = tables.in_focus(self._plan)
-        change = self._spread(_mix([(1, changed), (-1, base)], device), smooth)
-        return _mix([(1, composed), (1, self._move(change, moved))], device)
+        if not any(moved):
+            return self._spread(change, smooth, base=composed)
+        return _mix([(1, composed), (1, self._move(self._spread(change, smooth), moved))], device)
 
     def diffract(self, composed, tables):
         """Return composed channels with the blur that diffraction in focus gives to products, and not to their factors.
@@ -258,26 +260,28 @@ class _Groups:
             if behind is not None:
                 table = sampled if is_sharp else smooth
                 hidden = falloff(behind, alpha, device=device)
-                product = falloff(
-                    self._spread(behind, table, self._border),
-                    self._spread(alpha, table),
-                    device=device,
-                )
-                change = [(-1, self._spread(hidden, table, self._border)), (1, product)]
+                spread = self._spread(behind, table, self._border)
+                alpha = self._spread(alpha, table)
+                # the change of the nearest is added to the composed channels
+                base = composed if group == 0 else None
                 if more is not None:
-                    change += [(1, more), (-1, falloff(more, cover, device=device))]
-                more = _mix(change, device)
-                light = _mix([(1, light), (1, behind), (-1, hidden)], device)
+                    parts = [(1, more), (-1, falloff(more, cover, device=device))]
+                    base = _mix(parts if base is None else [(1, base), *parts], device)
+                product = falloff(spread, alpha, base, device=device)
+                more = self._spread(hidden, table, self._border, product, -1)
+                if group:
+                    light = _mix([(1, light), (1, behind), (-1, hidden)], device)
             behind = light
-        return _mix([(1, composed), (1, more)], device)
+        return more
 
-    def _spread(self, fields, table, border="edge"):
-        """Return fields, one of each channel or one of all, blurred in focus."""
+    def _spread(self, fields, table, border="edge", base=None, factor=1):
+        """Return a base plus fields, one of each channel or one of all, times a factor and blurred in focus."""
         channels, one = table.shape[0], fields.shape[0] == 1
         if not one:
             table = self._device.reshape(table, (1, channels, *table.shape[2:]))
         mix = np.ones((channels, 1), np.float32) if one else np.eye(channels, dtype=np.float32)
-        return blur(fields, table, mix, border, self._period, device=self._device)
+        mix *= factor
+        return blur(fields, table, mix, border, self._period, base=base, device=self._device)
 
     def _crop(self, planes_, shape, moved):
         """Return planes in the frame of the blurred ones; samples beyond them go on at the edge."""

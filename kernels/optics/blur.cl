@@ -70,14 +70,17 @@ __kernel void accumulate_complex(
 __kernel void crop(
     // in:
     __global const float *restrict blurred,
+    __global const float *base,
     // out:
-    __global float *restrict out,
+    __global float *out,  // may be `base` if that is not added
     // params:
-    const int before_y, const int before_x,
+    const int add_base, const int before_y, const int before_x,
     // sizes:
     const int channels, const int rows, const int cols, const int period_y, const int period_x)
 {
     const int x = get_global_id(0), y = get_global_id(1), c = get_global_id(2);
     GUARD(x >= cols || y >= rows || c >= channels)
-    out[((size_t)c * rows + y) * cols + x] = blurred[((size_t)c * period_y + y + before_y) * period_x + x + before_x];
+    const size_t at = ((size_t)c * rows + y) * cols + x;
+    const float value = blurred[((size_t)c * period_y + y + before_y) * period_x + x + before_x];
+    out[at] = add_base ? base[at] + value : value;
 }

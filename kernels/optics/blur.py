@@ -1,9 +1,9 @@
 """Blur of every plane by its own transfer function, summed into channels: the exact form per band.
 
 Ports: planes (planes, rows, cols) float32, tables (groups, planes, ...) float32 [1], mix (channels,
-planes) float32 -> channels (channels, rows, cols) float32:
+planes) float32 [, base (channels, rows, cols) float32] -> channels (channels, rows, cols) float32:
 
-    e_c = sum over k of  mix[c, k] (planes_k * kernel_k).
+    e_c = base_c + sum over k of  mix[c, k] (planes_k * kernel_k).
 
 kernel_k is given by its transfer function: tables[0, k] for all channels, or tables[c, k] for each.
 A table is a quarter, (period_y // 2 + 1, period_x // 2 + 1), if the kernel is even along both axes
@@ -36,6 +36,7 @@ def blur(
     border: str,
     period: tuple[int, int],
     margin: int = 0,
+    base: Array | None = None,
 ) -> Array:
     """Convolve each plane with its kernel and sum per channel.
 
@@ -49,6 +50,7 @@ def blur(
         border: "zero", "edge" or "reflect" (the outermost pixel is repeated).
         period: Transform lengths [pixel], at least (rows, cols).
         margin: Pixels on each side of the planes that are surroundings and not in the result.
+        base: Light to add to, shape of the result; None for 0.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -76,9 +78,9 @@ def blur(
         device.launch("optics.blur", kernel, grid, *arrays, *numbers, *sizes, defines=defines)
     blurred = fft.inverse(device, sums, period[1])
     out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
-    arrays = [blurred, out]
-    sizes = [*(n + margin for n in before), *out.shape, *period]
-    device.launch("optics.blur", "crop", out.shape, *arrays, *sizes)
+    arrays = [blurred, out if base is None else device.array(base), out]
+    numbers = [int(base is not None), *(n + margin for n in before)]
+    device.launch("optics.blur", "crop", out.shape, *arrays, *numbers, *out.shape, *period)
     return out
 
 
@@ -126,6 +128,9 @@ def cases():
             "period": period,
             "margin": margin,
         }
+        if own:
+            shape = channels, rows - 2 * margin, cols - 2 * margin
+            inputs["base"] = random.random(shape, np.float32)
         yield Case(
             f"{rows}x{cols}, {count} planes, {channels} channels, {border}",
             inputs,
@@ -147,7 +152,7 @@ def bench(rows, cols):
     }
 
 
-def operations(planes, tables, mix, border, period):
+def operations(planes, tables, mix, border, period, base=None):
     """Count operations.
 
     Transforms there and back; per frequency each plane times its table, and that times the mix,

@@ -1,11 +1,11 @@
-"""e_c = sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k))), float64, complex transforms."""
+"""e_c = base_c + sum_k mix[c, k] IFFT(H_ck FFT(extend(planes_k))), float64, complex transforms."""
 
 import numpy as np
 
 MODES = {"zero": "constant", "edge": "edge", "reflect": "symmetric"}
 
 
-def blur(planes, tables, mix, border, period, margin=0):
+def blur(planes, tables, mix, border, period, margin=0, base=None):
     """Return the stage's result; `H_ck` is the table unfolded over all frequencies."""
     count, rows, cols = planes.shape
     more = np.array(period) - (rows, cols)
@@ -19,7 +19,8 @@ def blur(planes, tables, mix, border, period, margin=0):
             sums[c] += weights[k] * whole * spectrum
     blurred = np.fft.ifft2(sums).real
     y, x = pad[0][0] + margin, pad[1][0] + margin
-    return blurred[:, y : y + rows - 2 * margin, x : x + cols - 2 * margin]
+    inside = blurred[:, y : y + rows - 2 * margin, x : x + cols - 2 * margin]
+    return inside if base is None else base + inside
 
 
 def _unfold(table, period):

@@ -78,9 +78,11 @@ def accumulate_complex(
 def crop(
     # in:
     blurred: wp.array3d[float],
+    base: wp.array3d[float],
     # out:
     out: wp.array3d[float],
     # params:
+    add_base: int,
     before_y: int,
     before_x: int,
     # sizes:
@@ -91,4 +93,7 @@ def crop(
     period_x: int,
 ):
     c, y, x = wp.tid()
-    out[c, y, x] = blurred[c, y + before_y, x + before_x]
+    value = blurred[c, y + before_y, x + before_x]
+    if add_base != 0:
+        value += base[c, y, x]
+    out[c, y, x] = value

@@ -140,6 +140,10 @@ __kernel void rooms(
         float4 r[4];
 #pragma unroll
         for (int k = 0; k < 4; ++k) r[k] = fmax(vload4(0, at + k * pitch), 0.0f);
+        const float4 high4 = fmax(fmax(r[0], r[1]), fmax(r[2], r[3])), low4 = fmin(fmin(r[0], r[1]), fmin(r[2], r[3]));
+        // else the positive weights, 4.55 times the negative ones or more, prevail
+        if (fmax(fmax(high4.x, high4.y), fmax(high4.z, high4.w)) <= 4.5f * fmin(fmin(low4.x, low4.y), fmin(low4.z, low4.w)))
+            continue;
 #pragma unroll
         for (int v = 0; v < 3; ++v) {
             const float4 wy = fabs(keys(0.3f + 0.2f * v));
@@ -192,6 +196,30 @@ __kernel void clear(
 #ifndef COVERS
 #define COVERS 0
 #endif
+// 4 x 4 samples: neighbours, or folded back at the border. rows: where these begin; columns: from there on.
+void load(__global const float *restrict plane, const int is_inside, const int4 rows, const int4 columns, float4 *values)
+{
+    const int row[4] = {rows.x, rows.y, rows.z, rows.w};
+    if (is_inside) {
+#pragma unroll
+        for (int k = 0; k < 4; ++k) values[k] = vload4(0, plane + row[k] + columns.x);
+    } else {
+#pragma unroll
+        for (int k = 0; k < 4; ++k) {
+            __global const float *at = plane + row[k];
+            values[k] = (float4)(at[columns.x], at[columns.y], at[columns.z], at[columns.w]);
+        }
+    }
+}
+
+float total_of(const float4 *values, const float *weights)
+{
+    float4 total = (float4)(0.0f);
+#pragma unroll
+    for (int k = 0; k < 4; ++k) total += vload4(k, weights) * values[k];
+    return (total.x + total.y) + (total.z + total.w);
+}
+
 // As `cubic`, of each sample's share; the rest of it by area, over the 4 x 4 samples that the cubic takes.
 __kernel void limited(
     // in:
@@ -212,26 +240,33 @@ __kernel void limited(
     const float floor_y = floor(at.x), floor_x = floor(at.y);
     const int first_y = y + (int)floor_y - 1, first_x = x + (int)floor_x - 1;
     const float4 wy = keys(at.x - floor_y), wx = keys(at.y - floor_x);
-    const float in_y[4] = {wy.x, wy.y, wy.z, wy.w}, in_x[4] = {wx.x, wx.y, wx.z, wx.w};
-    float w[16], rest[16], least = 1.0f;
-    int from[16];
+    const float in_y[4] = {wy.x, wy.y, wy.z, wy.w};
+    const int is_inside = first_y >= 0 && first_x >= 0 && first_y + 4 <= source_rows && first_x + 4 <= source_cols;
+    const int4 at_x = first_x + (int4)(0, 1, 2, 3);
+    const int4 sx = (int4)(inside(at_x.x, source_cols, BORDER), inside(at_x.y, source_cols, BORDER),
+                           inside(at_x.z, source_cols, BORDER), inside(at_x.w, source_cols, BORDER));
+    float w[16], rest[16];
+    float4 lowest = (float4)(1.0f), values[4];
+    int line_of[4];
 #if COVERS
     float of_cover[16];
 #endif
 #pragma unroll
-    for (int k = 0; k < 16; ++k) {
-        const int at_y = first_y + k / 4, at_x = first_x + k % 4;
-        const int sy = inside(at_y, source_rows, BORDER), sx = inside(at_x, source_cols, BORDER);
-        const int dropped = BORDER == 0 && (sy != at_y || sx != at_x);
-        from[k] = sy * source_cols + sx;
-        const float part = share[from[k]];
-        least = fmin(least, part);
-        w[k] = dropped ? 0.0f : at.z * in_y[k / 4] * in_x[k % 4] * part;
-        rest[k] = dropped ? 0.0f : 1.0f - part;
+    for (int k = 0; k < 4; ++k) line_of[k] = inside(first_y + k, source_rows, BORDER) * source_cols;
+    const int4 from = (int4)(line_of[0], line_of[1], line_of[2], line_of[3]);
+    load(share, is_inside, from, sx, values);
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+        const float4 part = values[k];
+        const int4 kept = BORDER == 0 ? (sx == at_x) & -(line_of[k] == (first_y + k) * source_cols) : (int4)(-1);
+        lowest = fmin(lowest, part);
+        vstore4(select((float4)(0.0f), at.z * in_y[k] * wx * part, kept), k, w);
+        vstore4(select((float4)(0.0f), 1.0f - part, kept), k, rest);
 #if COVERS
-        of_cover[k] = in_y[k / 4] * in_x[k % 4] * part;  // coverage goes on beyond a dark border
+        vstore4(in_y[k] * wx * part, k, of_cover);  // coverage goes on beyond a dark border
 #endif
     }
+    const float least = fmin(fmin(lowest.x, lowest.y), fmin(lowest.z, lowest.w));
     if (least < 1.0f) {  // rarely
         const float3 c00 = place(line, 2 * x, nx, cols);
         const float3 c10 = place(line + 6 * nx, 2 * x, nx, cols);
@@ -242,9 +277,13 @@ __kernel void limited(
         const float y11 = c11.x - floor_y + 2.0f, y01 = c01.x - floor_y + 1.0f;
         const float x00 = c00.y - floor_x + 1.0f, x10 = c10.y - floor_x + 1.0f;
         const float x11 = c11.y - floor_x + 2.0f, x01 = c01.y - floor_x + 2.0f;
+        const float top_y = fmin(fmin(y00, y01), fmin(y10, y11)), end_y = fmax(fmax(y00, y01), fmax(y10, y11));
+        const float top_x = fmin(fmin(x00, x01), fmin(x10, x11)), end_x = fmax(fmax(x00, x01), fmax(x10, x11));
         float overlaps[16], whole = 0.0f;
         for (int k = 0; k < 16; ++k) {
             const float a = k / 4, b = k % 4;
+            overlaps[k] = 0.0f;
+            if (a >= end_y || b >= end_x || a + 1.0f <= top_y || b + 1.0f <= top_x) continue;
             const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
                                 + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
             overlaps[k] = fmax(overlap, 0.0f);
@@ -253,28 +292,23 @@ __kernel void limited(
         const float per = at.z / whole;
         for (int k = 0; k < 16; ++k) w[k] += per * overlaps[k] * rest[k];
 #if COVERS
-        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - share[from[k]]);
+        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - ((float *)values)[k]);
 #endif
     }
 #if COVERS
 #pragma unroll
     for (int p = 0; p < (m == 0 ? COVERS : 0); ++p) {  // by the first grid
-        __global const float *plane = cover + (size_t)p * source_rows * source_cols;
-        float total = 0.0f;
-#pragma unroll
-        for (int k = 0; k < 16; ++k) total += of_cover[k] * plane[from[k]];
-        out[((size_t)(maps * PLANES + p) * rows + y) * cols + x] = total;
+        load(cover + (size_t)p * source_rows * source_cols, is_inside, from, sx, values);
+        out[((size_t)(maps * PLANES + p) * rows + y) * cols + x] = total_of(values, of_cover);
     }
+    load(cover, is_inside, from, sx, values);
 #pragma unroll
-    for (int k = 0; k < 16; ++k) w[k] *= cover[from[k]];
+    for (int k = 0; k < 4; ++k) vstore4(vload4(k, w) * values[k], k, w);
 #endif
 #pragma unroll
     for (int p = 0; p < PLANES; ++p) {
-        __global const float *plane = planes + (size_t)(m * PLANES + p) * source_rows * source_cols;
-        float total = 0.0f;
-#pragma unroll
-        for (int k = 0; k < 16; ++k) total += w[k] * plane[from[k]];
-        out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = total;
+        load(planes + (size_t)(m * PLANES + p) * source_rows * source_cols, is_inside, from, sx, values);
+        out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = total_of(values, w);
     }
 }
 

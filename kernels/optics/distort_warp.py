@@ -210,19 +210,28 @@ def rooms(
     x = left + dx
     least = float(1.0)
     for c in range(channels):
-        for v in range(3):
-            wy = keys(0.3 + 0.2 * float(v))
-            for u in range(3):
-                wx = keys(0.3 + 0.2 * float(u))
-                with_it = float(0.0)
-                against = float(0.0)
-                for i in range(4):
-                    for j in range(4):
-                        part = wy[i] * wx[j] * wp.max(light[c, y + i, x + j], 0.0)
-                        with_it += wp.max(part, 0.0)
-                        against -= wp.min(part, 0.0)
-                if against > with_it:
-                    least = wp.min(least, wp.max(2.0 * (with_it / against) - 1.0, 0.0))
+        highest = float(0.0)
+        lowest = wp.max(light[c, y, x], 0.0)
+        for i in range(4):
+            for j in range(4):
+                value = wp.max(light[c, y + i, x + j], 0.0)
+                highest = wp.max(highest, value)
+                lowest = wp.min(lowest, value)
+        # else the positive weights, 4.55 times the negative ones or more, prevail
+        if not (highest <= 4.5 * lowest):
+            for v in range(3):
+                wy = keys(0.3 + 0.2 * float(v))
+                for u in range(3):
+                    wx = keys(0.3 + 0.2 * float(u))
+                    with_it = float(0.0)
+                    against = float(0.0)
+                    for i in range(4):
+                        for j in range(4):
+                            part = wy[i] * wx[j] * wp.max(light[c, y + i, x + j], 0.0)
+                            with_it += wp.max(part, 0.0)
+                            against -= wp.min(part, 0.0)
+                    if against > with_it:
+                        least = wp.min(least, wp.max(2.0 * (with_it / against) - 1.0, 0.0))
     room[y, x] = least
 
 

@@ -1,8 +1,8 @@
 """Fall-off at every pixel: relative illumination of a lens, loss of microlenses in corners.
 
-Ports: planes (planes, rows, cols) float32, gains (1 or planes, rows, cols) float32 [1] -> planes
-(planes, rows, cols) float32 in the planes' unit. The cos^4 law needs no map: `sensor.collect`
-applies it.
+Ports: planes (planes, rows, cols) float32, gains (1 or planes, rows, cols) float32 [1] [, base
+(planes, rows, cols) float32] -> planes (planes, rows, cols) float32 in the planes' unit. The cos^4
+law needs no map: `sensor.collect` applies it.
 """
 
 import numpy as np
@@ -12,17 +12,18 @@ from gpusim.kernels.stage import Array, Case, stage
 
 
 @stage
-def falloff(device: Device, planes: Array, gains: Array) -> Array:
-    """Multiply every plane by a map of gains.
+def falloff(device: Device, planes: Array, gains: Array, base: Array | None = None) -> Array:
+    """Multiply every plane by a map of gains, and add a base.
 
     Args:
         planes: Light of each plane, shape (planes, rows, cols).
         gains: Gain of every pixel [1], shape (1 or planes, rows, cols): one map for all planes, or
             one for each.
+        base: Light to add to, shape of the planes; None for 0.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
-        The products, shape (planes, rows, cols), float32.
+        The sums, shape (planes, rows, cols), float32.
 
     Source:
         Farrell and Wandell, section 4.1 (relative illumination).
@@ -31,18 +32,24 @@ def falloff(device: Device, planes: Array, gains: Array) -> Array:
     planes, gains = device.array(planes), device.array(gains)
     own = int(gains.shape[0] > 1)
     out = device.empty((count, rows, cols))
-    device.launch("optics.falloff", "falloff", out.shape, planes, gains, out, own, *out.shape)
+    arrays = [planes, gains, out if base is None else device.array(base), out]
+    numbers = [own, int(base is not None)]
+    device.launch("optics.falloff", "falloff", out.shape, *arrays, *numbers, *out.shape)
     return out
 
 
 def cases():
     """Yield cases: one map for all planes and one for each, over nine decades."""
-    random, why = np.random.default_rng(9), "one float32 product rounds once: half an ulp"
+    random = np.random.default_rng(9)
+    why = "one float32 product rounds once, and a sum of positive terms again: half an ulp each"
     for planes, maps, rows, cols in ((1, 1, 1, 1), (3, 1, 3, 5), (4, 4, 63, 65), (2, 1, 5, 200)):
         light = (10.0 ** random.uniform(-3, 6, (planes, rows, cols))).astype(np.float32)
         gains = random.random((maps, rows, cols)).astype(np.float32)
         name = f"{rows}x{cols}, {planes} planes, {maps} maps"
-        yield Case(name, {"planes": light, "gains": gains}, 2.0**-24, why, metric="local")
+        inputs = {"planes": light, "gains": gains}
+        if maps == planes:
+            inputs["base"] = random.random(light.shape, np.float32)
+        yield Case(name, inputs, (len(inputs) - 1) * 2.0**-24, why, metric="local")
 
 
 def bench(rows, cols):
@@ -54,6 +61,6 @@ def bench(rows, cols):
     }
 
 
-def operations(planes, gains):
+def operations(planes, gains, base=None):
     """Count operations: a multiplication for each value."""
     return planes.size

@@ -11,14 +11,19 @@ def falloff(
     # in:
     planes: wp.array3d[float],
     gains: wp.array3d[float],
+    base: wp.array3d[float],
     # out:
     out: wp.array3d[float],
     # params:
     own: int,
+    add_base: int,
     # sizes:
     count: int,
     rows: int,
     cols: int,
 ):
     p, y, x = wp.tid()
-    out[p, y, x] = gains[own * p, y, x] * planes[p, y, x]
+    value = gains[own * p, y, x] * planes[p, y, x]
+    if add_base != 0:
+        value += base[p, y, x]
+    out[p, y, x] = value

@@ -21,6 +21,7 @@ a tile are transformed, summed, and transformed back once per channel.
 """
 
 import functools
+import itertools
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -33,6 +34,7 @@ from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
+from gpusim.optics.memo import multiply_wide
 
 # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
 BATCH_BYTES = 2**22
@@ -273,16 +275,21 @@ def _on_host(device, it):
                     total += weight * passed
         out[:, at] = scipy.fft.irfft2(sums, period, overwrite_x=True)
 
-    first = 0
-    with device.host_work(), ThreadPoolExecutor(os.cpu_count()) as pool:
+    first, threads = 0, os.cpu_count() or 1
+    with device.host_work(), ThreadPoolExecutor(threads) as pool:
         for used, members in it.groups:
             batch = max(HOST_BATCH // (len(used) * tables[0].nbytes), 1)
             for some in np.split(members, range(batch, len(members), batch)):
                 if it.index.ndim == 2:
                     chosen = [[tables[kernel] for kernel in it.index[t]] for t in some]
-                else:  # one product, with all threads
+                else:
                     weights = it.index[some][:, used].reshape(-1, len(tables))
-                    chosen = (weights @ by_kernel).view(np.complex64)
+                    combined = np.empty((len(weights), by_kernel.shape[1]), np.float32)
+                    ends = np.linspace(0, by_kernel.shape[1], threads + 1).astype(int)
+                    pieces = [slice(a, b) for a, b in itertools.pairwise(ends)]
+                    parts = [[whole[:, one] for one in pieces] for whole in (by_kernel, combined)]
+                    list(pool.map(functools.partial(multiply_wide, weights), *parts))
+                    chosen = combined.view(np.complex64)
                     chosen = chosen.reshape(len(some), len(used), *tables.shape[1:])
                 jobs = [(first + k, t, used, chosen[k]) for k, t in enumerate(some)]
                 for _ in pool.map(blur, jobs):  # raises the threads' errors

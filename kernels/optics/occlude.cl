@@ -8,19 +8,22 @@ __kernel void begin(
     __global const float *restrict base,
     // out:
     __global float *restrict out,
+    // params:
+    const int change,
     // sizes:
     const int channels, const int rows, const int cols)
 {
     const int x = get_global_id(0), y = get_global_id(1), c = get_global_id(2);
     GUARD(x >= cols || y >= rows || c >= channels)
     const size_t at = ((size_t)c * rows + y) * cols + x;
-    out[at] = base[at];
+    out[at] = change ? 0.0f : base[at];
 }
 
 // One place in one channel per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS comes from the
 // host and unrolls the loops.
 __kernel void occlude(
     // in:
+    __global const float *restrict base,    // [channels][rows][cols]
     __global const float *restrict lights,  // [layers][channels][high][wide]
     __global const float *restrict alphas,  // [layers][high][wide]
     __global const int *restrict places,    // [count][2]
@@ -30,7 +33,7 @@ __kernel void occlude(
     // out:
     __global float *restrict out,           // [channels][rows][cols]
     // params:
-    const int margin,
+    const int margin, const int change,
     // sizes:
     const int points_, const int count, const int rows, const int cols, const int channels, const int high,
     const int wide)
@@ -73,6 +76,7 @@ __kernel void occlude(
         product += before * mean_light[s];
         before *= 1.0f - mean_alpha[s];
     }
-    __global float *target = out + ((size_t)c * rows + y - margin) * cols + x - margin;
-    *target = fmax(*target + (exact - product), 0.0f);
+    const size_t target = ((size_t)c * rows + y - margin) * cols + x - margin;
+    const float before_it = base[target];
+    out[target] = fmax(before_it + (exact - product), 0.0f) - (change ? before_it : 0.0f);
 }

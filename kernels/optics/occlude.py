@@ -12,7 +12,7 @@ given: elsewhere the two are equal.
 
 Ports: base (channels, rows, cols) float32, lights (layers, channels, R, S) float32 in the base's unit, alphas (layers,
 R, S) float32 [1], places (E, 2) int32, members (n, E) int32, radii (n, E) float32 [sample], points (M, 3) float32 ->
-(channels, rows, cols) float32. R = rows + 2 margin, S = cols + 2 margin.
+(channels, rows, cols) float32, out or its change from the base. R = rows + 2 margin, S = cols + 2 margin.
 """
 
 import functools
@@ -36,6 +36,7 @@ def occlude(
     points: Array,
     border: str,
     margin: int = 0,
+    change: bool = False,
 ) -> Array:
     """Return composed layers with the covariance over the pupil at some places.
 
@@ -50,10 +51,11 @@ def occlude(
         points: y, x and share of the light of points of the pupil [1], shape (M, 3).
         border: "zero", "edge" or "reflect"; coverage goes on at the edge of a dark world.
         margin: Samples on each side of the layers that are not in the result.
+        change: Whether to return the change from the base.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
-        The light, shape (channels, rows, cols), float32, not below 0 at the places.
+        The light, shape (channels, rows, cols), float32, not below 0 at the places; or its change.
 
     Source:
         Potmesil and Chakravarty, Computer Graphics 15 (1981), for the rays; the sum is their mean.
@@ -64,16 +66,18 @@ def occlude(
     defines = {"BORDER": BORDERS[border], "SHEETS": max(sheets, 1)}
     launch = functools.partial(device.launch, "optics.occlude", defines=defines)
     out = device.empty((channels, rows, cols))
-    launch("begin", out.shape, base, out, *out.shape)
+    launch("begin", out.shape, base, out, int(change), *out.shape)
     if count:
         chosen = [device.array(places, np.int32), device.array(members, np.int32)]
-        arrays = [lights, alphas, *chosen, device.array(radii), device.array(points), out]
-        sizes = [margin, points.shape[0], count, rows, cols, *lights.shape[1:]]
+        arrays = [base, lights, alphas, *chosen, device.array(radii), device.array(points), out]
+        sizes = [margin, int(change), points.shape[0], count, rows, cols, *lights.shape[1:]]
         launch("occlude", (channels, count), *arrays, *sizes)
     return out
 
 
-def operations(base, lights, alphas, places, members, radii, points, border, margin=0) -> float:
+def operations(
+    base, lights, alphas, places, members, radii, points, border, margin=0, change=False
+) -> float:
     """Return the multiplications and additions: 12 for each point of each layer at each place, in each channel."""
     return 12.0 * base.shape[0] * members.shape[0] * members.shape[1] * points.shape[0]
 
@@ -116,6 +120,7 @@ def cases():
                 "points": np.stack(disc, axis=1).astype(np.float32),
                 "border": border,
                 "margin": margin,
+                "change": border == "reflect",
             },
             4 * layers * (points + layers) * 2.0**-24 * lights.max(),
             why,

@@ -8,11 +8,11 @@ import numpy as np
 from gpusim.optics.occlusion import covariance
 
 
-def occlude(base, lights, alphas, places, members, radii, points, border, margin=0):
+def occlude(base, lights, alphas, places, members, radii, points, border, margin=0, change=False):
     """Return the stage's result, see `occlude.py`."""
     out = np.array(base, np.float64)
     y, x = np.asarray(places).T
     at = np.asarray(places) + margin
-    change = covariance(lights, alphas, at, members, radii, points, border)
-    out[:, y, x] = np.maximum(out[:, y, x] + change, 0)
-    return out
+    more = covariance(lights, alphas, at, members, radii, points, border)
+    out[:, y, x] = np.maximum(out[:, y, x] + more, 0)
+    return out - base if change else out

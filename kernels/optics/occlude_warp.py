@@ -18,13 +18,15 @@ def begin(
     base: wp.array3d[float],
     # out:
     out: wp.array3d[float],
+    # params:
+    change: int,
     # sizes:
     channels: int,
     rows: int,
     cols: int,
 ):
     c, y, x = wp.tid()
-    out[c, y, x] = base[c, y, x]
+    out[c, y, x] = wp.where(change != 0, 0.0, base[c, y, x])
 
 
 @cache
@@ -37,6 +39,7 @@ def specialise(kernel, BORDER=1, SHEETS=1):
     @wp.kernel(module="unique", module_options=OPTIONS)
     def occlude(
         # in:
+        base: wp.array3d[float],
         lights: wp.array4d[float],
         alphas: wp.array3d[float],
         places: wp.array2d[int],
@@ -47,6 +50,7 @@ def specialise(kernel, BORDER=1, SHEETS=1):
         out: wp.array3d[float],
         # params:
         margin: int,
+        change: int,
         # sizes:
         points_: int,
         count: int,
@@ -96,6 +100,8 @@ def specialise(kernel, BORDER=1, SHEETS=1):
             before *= 1.0 - mean_alpha[s]
         at_y = places[e, 0]
         at_x = places[e, 1]
-        out[c, at_y, at_x] = wp.max(out[c, at_y, at_x] + (exact - product), 0.0)
+        before_it = base[c, at_y, at_x]
+        taken = wp.where(change != 0, before_it, 0.0)
+        out[c, at_y, at_x] = wp.max(before_it + (exact - product), 0.0) - taken
 
     return occlude
