@@ -329,47 +329,60 @@ def limited(
     first_x = x + int(from_x)
     wy = keys(at[0] - from_y - 1.0)
     wx = keys(at[1] - from_x - 1.0)
-    least = float(1.0)
-    for i in range(4):
-        sy = inside(first_y + i, source_rows, border)
-        for j in range(4):
-            least = wp.min(least, share[sy, inside(first_x + j, source_cols, border)])
-    c00 = at
-    c10 = at
-    c11 = at
-    c01 = at
-    whole = float(0.0)
-    if least < 1.0:
-        c00 = place(lines, m, 2 * y, 2 * x, nx, cols)
-        c10 = place(lines, m, 2 * y + 2, 2 * x, nx, cols)
-        c11 = place(lines, m, 2 * y + 2, 2 * x + 2, nx, cols)
-        c01 = place(lines, m, 2 * y, 2 * x + 2, nx, cols)
-        for i in range(4):
-            for j in range(4):
-                whole += overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
-    for p in range(m * per_map, (m + 1) * per_map):
-        out[p, y, x] = 0.0
-    own = 0  # values of the layer, by the first grid
-    if m == 0:
-        own = covers
-    for p in range(maps * per_map, maps * per_map + own):
-        out[p, y, x] = 0.0
+    w = wp.mat44(0.0)
+    of_cover = wp.mat44(0.0)
+    rest = wp.mat44(0.0)
+    overlaps = wp.mat44(0.0)
+    is_partial = bool(False)
     for i in range(4):
         sy = inside(first_y + i, source_rows, border)
         for j in range(4):
             sx = inside(first_x + j, source_cols, border)
             part = share[sy, sx]
-            w = at[2] * wy[i] * wx[j] * part
-            of_cover = wy[i] * wx[j] * part
-            if part < 1.0:
-                area_of = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
-                w += at[2] * area_of / whole * (1.0 - part)
-                of_cover += area_of / whole * (1.0 - part)
-            if covers > 0:
-                w *= cover[0, sy, sx]
-            for p in range(own):  # coverage goes on beyond a dark border
-                number = maps * per_map + p
-                out[number, y, x] = out[number, y, x] + of_cover * cover[p, sy, sx]
+            is_partial = is_partial or part < 1.0
+            of_cover[i, j] = wy[i] * wx[j] * part
             if border != 0 or (sy == first_y + i and sx == first_x + j):
-                for p in range(m * per_map, (m + 1) * per_map):
-                    out[p, y, x] = out[p, y, x] + w * planes[p, sy, sx]
+                w[i, j] = at[2] * of_cover[i, j]
+            rest[i, j] = 1.0 - part
+    if is_partial:
+        c00 = place(lines, m, 2 * y, 2 * x, nx, cols)
+        c10 = place(lines, m, 2 * y + 2, 2 * x, nx, cols)
+        c11 = place(lines, m, 2 * y + 2, 2 * x + 2, nx, cols)
+        c01 = place(lines, m, 2 * y, 2 * x + 2, nx, cols)
+        whole = float(0.0)
+        for i in range(4):
+            for j in range(4):
+                one = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
+                overlaps[i, j] = one
+                whole += one
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                more = overlaps[i, j] / whole * rest[i, j]
+                of_cover[i, j] += more
+                if border != 0 or (
+                    sy == first_y + i and inside(first_x + j, source_cols, border) == first_x + j
+                ):
+                    w[i, j] += at[2] * more
+    own = 0  # values of the layer, by the first grid
+    if m == 0:
+        own = covers
+    for p in range(own):  # coverage goes on beyond a dark border
+        total = float(0.0)
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                total += of_cover[i, j] * cover[p, sy, inside(first_x + j, source_cols, border)]
+        out[maps * per_map + p, y, x] = total
+    if covers > 0:
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                w[i, j] *= cover[0, sy, inside(first_x + j, source_cols, border)]
+    for p in range(m * per_map, (m + 1) * per_map):
+        total = float(0.0)
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                total += w[i, j] * planes[p, sy, inside(first_x + j, source_cols, border)]
+        out[p, y, x] = total
