@@ -197,6 +197,10 @@ class Command:
             self._set(index, new)
         self.args = args
 
+    def release(self):
+        """Forget the arrays; the device keeps them while they are used."""
+        self.args = tuple(None if isinstance(arg, OpenCLArray) else arg for arg in self.args)
+
     def start(self):
         device = self.device
         with device._lock:

@@ -4,8 +4,10 @@ It then allocates, builds and copies nothing.
 """
 
 import threading
+import weakref
 from collections.abc import Callable
 from contextlib import contextmanager
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -15,6 +17,10 @@ from gpusim.backends.refusal import of_command, of_launch, of_shape, of_values, 
 from gpusim.domain.memory import to_host
 
 SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are copied again
+LARGE = (
+    1 << 22
+)  # [byte] of arrays that a tape that cannot be replayed keeps only while they are used
+HELD = "large", "view"  # requests whose results are recorded with a weak reference
 
 
 class Tape:
@@ -42,6 +48,7 @@ class Tape:
         self.writes_anew = writes_anew
         self._requests: list = []
         self._at = 0
+        self.is_loose = False  # whether dropped arrays are forgotten
         self.commands: list = []
         self.numbered: list = []
         self.viewed: list = []
@@ -51,6 +58,7 @@ class Tape:
     def begin(self):
         """Start (or restart) the computation."""
         self._at = 0
+        self.is_loose = bool(self.reads or self.host_work) and not self.writes_anew
         self.commands, self.numbered, self.viewed = [], [], []
         self.reads, self.host_work = [], []
 
@@ -64,6 +72,44 @@ class Tape:
             self._requests.append((request, found))
         self._at += 1
         return found
+
+    def held(self, request, make, *args, of=None):
+        """Return the recorded array of the request in this place, or record `make(*args)`.
+
+        of: array that it is a view of, if any; the recorded one must be, too.
+        """
+        found = self.again(request, lambda: [None, None, None])
+        array = found[0]
+        if array is None or (of is not None and found[2]() is not of):
+            array = make(*args)
+            found[:] = (
+                None if self.is_loose else array,
+                weakref.ref(array),
+                of if of is None else weakref.ref(of),
+            )
+        return array
+
+    def loosen(self):
+        """Forget arrays that the computation has dropped: it cannot be replayed."""
+        if self.is_loose or self.writes_anew:
+            return
+        self.is_loose = True
+        for command in self.commands:
+            command.release()
+        self.commands, self.numbered, self.viewed = [], [], []
+        kept = []
+        for request, found in self._requests[: self._at]:
+            if request[0] in HELD:
+                found[0] = None
+            if request[0] != "copy":
+                kept.append((request, found))
+        self._requests, self._at = kept, len(kept)
+
+    def end(self):
+        """Keep the arrays that are in use at the end: results, and arguments of kernels that may not have ended."""
+        for request, found in self._requests if self.is_loose else ():
+            if request[0] in HELD:
+                found[0] = found[1]()
 
     def constant(self, values, make):
         """Return the recorded array if its values are equal, else record `make(values, dtype)`.
@@ -79,8 +125,11 @@ class Tape:
 
     def start(self, command):
         """Start a command and record it."""
-        self.commands.append(command)
         command.start()
+        if self.is_loose:
+            command.release()
+        else:
+            self.commands.append(command)
 
     def replace_arrays(self, others) -> bool:
         """Give the recorded kernels other arrays, pairs (old, new); False if one is not found.
@@ -159,6 +208,9 @@ def recording(tape: Tape | None):
         if tape is not None:
             tape._requests.clear()  # the last one may be incomplete
         raise
+    else:
+        if tape is not None:
+            tape.end()
     finally:
         _current.tape = outer
 
@@ -179,6 +231,10 @@ class Copy:
         """Set other arrays of the same kinds."""
         self.args = args
 
+    def release(self):
+        """Forget the arrays."""
+        self.args = ()
+
     def start(self):
         """Copy in turn with the kernels."""
         self.device._copy(self.stage, *self.args, *self.places)
@@ -188,8 +244,8 @@ class Taped(Device):
     """A device whose requests can be recorded; backends define its underscored attributes.
 
     Its launches are commands: `set(args)` gives a command other arguments of the same kinds,
-    `start()` starts it; `stage` and `name` belong to its kernel, `device` is its device. Memory
-    that the driver refuses raises OutOfMemory.
+    `start()` starts it, `release()` forgets the arrays; `stage` and `name` belong to its kernel,
+    `device` is its device. Memory that the driver refuses raises OutOfMemory.
     """
 
     _home: Any = None  # `device` of this device's arrays, if not itself
@@ -232,15 +288,18 @@ class Taped(Device):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._empty(shape, dtype)
-        request = ("empty", tuple(shape), np.dtype(dtype).str)
-        return tape.again(request, self._empty, shape, dtype)
+        kind = np.dtype(dtype)
+        is_large = prod(shape) * kind.itemsize >= LARGE
+        request = ("large" if is_large else "empty", tuple(shape), kind.str)
+        return (tape.held if is_large else tape.again)(request, self._empty, shape, dtype)
 
     def reshape(self, array, shape):
         tape = _current.tape
         if tape is None or tape.writes_anew:
             return self._reshape(array, shape)
-        tape.viewed.append(array)
-        return tape.again(("reshape", _place(array), tuple(shape)), self._reshape, array, shape)
+        if not tape.is_loose:
+            tape.viewed.append(array)
+        return tape.held(("view", tuple(shape)), self._reshape, array, shape, of=array)
 
     @refusable(of_values)
     def numpy(self, array):
@@ -251,6 +310,7 @@ class Taped(Device):
         tape = _current.tape
         if tape is not None and not self._clock.host_work:
             tape.reads.append(self._clock.charged or "between the stages")
+            tape.loosen()
         return self._numpy(array)
 
     @contextmanager
@@ -258,6 +318,7 @@ class Taped(Device):
         tape, clock = _current.tape, self._clock
         if tape is not None:
             tape.host_work.append(clock.charged)
+            tape.loosen()
         outer, clock.host_work = clock.host_work, True
         try:
             with super().host_work():
@@ -287,7 +348,7 @@ class Taped(Device):
         """Copy `count` values between arrays, in turn with launches."""
         tape = _current.tape
         places = (count, start, to)
-        if tape is None:
+        if tape is None or tape.is_loose:
             self._copy(self._clock.charged or "copies", target, source, *places)
         else:
             request = ("copy", _place(target), _place(source), *places)

@@ -120,7 +120,8 @@ class Command:
             if isinstance(new, int | float | np.number):
                 packed.value = new
             elif (
-                new.shape == old.shape
+                old is not None
+                and new.shape == old.shape
                 and new.dtype == old.dtype
                 and new.is_contiguous
                 and old.is_contiguous
@@ -130,6 +131,12 @@ class Command:
                 self.launch.set_param_at_index(index, new)
                 self._own(index + 1)
         self.args = args
+
+    def release(self):
+        """Forget the arrays."""
+        numbers = int, float, np.number
+        self.args = tuple(arg if isinstance(arg, numbers) else None for arg in self.args)
+        self.launch.fwd_args = None  # Warp's copy for recordings of its own
 
     def start(self):
         self.device._timed(self.stage, self.launch.launch)

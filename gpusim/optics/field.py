@@ -39,6 +39,7 @@ COARSE = (
 FEW_NODES = 6
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
+ROUGH = 1.5  # twice as near, straight lines err a quarter in a smooth field; in a rough one more than 1 / ROUGH
 # each holds the places of those before and of SAMPLES
 GRIDS = ((3, 5), (8, 13), (15, 25), (29, 49), (57, 97))
 
@@ -130,8 +131,35 @@ def choose(
         candidates.append(blur)
         if missed(blur) <= 1:
             break
+        if grid >= SAMPLES and _is_rough(lens, shape, grid, probes, truth):
+            break
     good = [blur for blur in candidates if missed(blur) <= 1]
     return min(good, key=lambda blur: blur.cost) if good else min(candidates, key=missed)
+
+
+def _is_rough(lens, shape, grid, probes, truth) -> bool:
+    """Return whether most of the error lies at one place at which twice as many kernels along both axes err as well.
+
+    So it is where a wavefront has a kink, for example on the axis of one that turns with the field's angle. Kernels
+    are mixed by straight lines here.
+    """
+
+    def error(counts, some):
+        wrong = -truth[some]
+        axes = [_Window(size, count, "bilinear") for size, count in zip(shape, counts, strict=True)]
+        (down, v), (across, u) = (one.at(probes[some][:, axis]) for axis, one in enumerate(axes))
+        for i in range(2):
+            for j in range(2):
+                places = np.stack([axes[0].nodes[down + i], axes[1].nodes[across + j]], axis=1)
+                wrong += (v[:, i] * u[:, j])[:, None, None, None] * _kernels(lens, places)
+        return np.square(weigh(wrong)).sum(axis=(1, 2, 3))
+
+    errors = error(grid, slice(None))
+    worst = int(np.argmax(errors))
+    if errors[worst] < errors.sum() / 2:
+        return False
+    nearer = error([2 * count - 1 for count in grid], slice(worst, worst + 1))
+    return bool(ROUGH**2 * nearer[0] > errors[worst])
 
 
 def overlap_add(

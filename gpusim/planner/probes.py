@@ -6,7 +6,7 @@ shows that, does not count.
 """
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +58,14 @@ class _Sigma(NamedTuple):
     pixels: np.ndarray
     low: float
     least: float
+
+
+@lru_cache(maxsize=16)
+def _interpolation_loss(shares, width):
+    """Return the root of `interpolation_error` at the frequencies of a window; shares: bytes and shape of phases."""
+    phases = None if shares is None else np.frombuffer(shares[0]).reshape(shares[1])
+    found = interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, width)
+    return np.sqrt(found).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,11 +243,9 @@ class Probes:
 
         Between samples the truth is the wave of each frequency that runs through them.
         """
+        shares = None if phases is None else (phases.tobytes(), phases.shape)
         wrong = [
-            np.sqrt(
-                interpolation_error(np.fft.fftfreq(SIDE), np.fft.rfftfreq(SIDE), phases, one)
-            ).astype(np.float32)
-            for one in ((None, 1.0) if width is None else (width,))
+            _interpolation_loss(shares, one) for one in ((None, 1.0) if width is None else (width,))
         ]
         if width is not None or not np.any(self.area_light):
             return self.bound(self.exact * wrong[0])

@@ -92,6 +92,30 @@ def test_the_planner_takes_the_cheapest_that_is_good_enough():
     assert impossible.error[0] > 1e-9
 
 
+@pytest.mark.parametrize("is_rough", [False, True])
+def test_nearer_places_are_only_looked_at_if_they_help(is_rough):
+    """The width of a Gaussian along x turns with the angle: at the axis of a rough field it jumps, at any spacing."""
+    shape, seen = (320, 480), set()
+    at = np.arange(15) - 7.0
+
+    def lens(places):
+        seen.update(map(tuple, np.round(places, 6).tolist()))
+        y, x = (np.asarray(places) - (np.array(shape) - 1) / 2).T / 240
+        height = np.hypot(y, x)
+        turned = np.divide(2 * x * y, height**2, out=np.zeros_like(x), where=height > 0)
+        turned *= 1.0 if is_rough else height**2
+        width = 1.5 + 0.5 * turned[:, None]
+        along = np.exp(-0.5 * (at / width) ** 2)
+        both = np.exp(-0.5 * (at / 1.5) ** 2)[:, None] * along[:, None]
+        return (both / both.sum(axis=(1, 2), keepdims=True))[:, None]
+
+    blur = choose(lens, shape, 1e-9)
+    # grids of 15 x 25 and 29 x 49 places
+    assert len(seen) < 600 if is_rough else len(seen) > 1421
+    # the error that is left is said; a jump of a third of the width is more than 1e-3 of a natural scene
+    assert blur.error[1] > 1e-3 if is_rough else blur.error[1] < 1e-5
+
+
 def test_more_eigen_kernels_never_hurt():
     """Hard case 18 for the field: beyond the numerical rank the error stays where it is."""
     shape = (96, 160)

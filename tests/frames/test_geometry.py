@@ -25,6 +25,7 @@ from gpusim.optics.geometry import (
     relative_illumination,
 )
 from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.knobs.pixels import _undistorted_law
 
 PITCH = 1.4e-6
 HEIGHTS = np.linspace(0, 1.5, 31) * 1e-3
@@ -366,3 +367,15 @@ def test_what_a_distortion_interpolates_is_predicted(waves, move):
         )
     verdict = exposure.plan.verdict
     assert not verdict.is_met and verdict.by == "distortion" and "drawn finer" in str(verdict)
+
+
+@pytest.mark.parametrize("shape", [(300, 400), (700, 1100)])
+def test_cos4_behind_an_equidistant_fisheye_is_that_of_the_radius(shape):
+    """The angle is the radius over the focal length; cubics between 256 cells of 120 degrees err by less than 1e-7."""
+    pitch, focal, moved = 2e-6, 1.05 * shape[1] / 2 * 2e-6, (0.3, -0.2)
+    law = _undistorted_law(Fisheye(0, 0, 0, 0, focal), shape, pitch, moved, pitch / focal)
+    y, x = (
+        (np.arange(n) - (n - 1) / 2 + move) * pitch for n, move in zip(shape, moved, strict=True)
+    )
+    wanted = np.cos(np.hypot(y[:, None], x) / focal) ** 4
+    np.testing.assert_allclose(law, wanted, atol=1e-7, rtol=0)

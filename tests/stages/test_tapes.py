@@ -1,6 +1,7 @@
 """What is made again on a tape is what is made anew, whatever has changed; replayed, it takes new contents."""
 
 import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -204,6 +205,34 @@ def test_reads_and_work_on_the_host_are_noted(device):
     with recording(tape):
         binned(device.reshape(content, (170, 46)), binning=(2, 2), stride=(1, 1), device=device)
     assert tape.is_replayable
+
+
+def test_large_arrays_that_are_dropped_are_freed_if_the_host_works(device, monkeypatch):
+    """Those from before its work; results keep their memory, and are what is made anew."""
+    monkeypatch.setattr("gpusim.backends.tape.LARGE", 1)
+    tape, content, kept, dropped = Tape(), cube(device), [], []
+
+    def compute(table, seconds):
+        planes = integrate(content, device.array(table), device=device)
+        whole = device.reshape(device.stack([planes, planes]), (6, 34, 46))
+        dropped.append(weakref.ref(planes))
+        with device.host_work():
+            scale = float(values(device, whole).mean())
+        part = device.part(whole, slice(0, 3))
+        mean = collect(part, BAYER, seconds, 1e-3, device=device)
+        return chip(chip(mean, scale=scale, device=device), scale=0.5, device=device)
+
+    for seconds in (0.1, 0.2, 0.2, 0.4):
+        table = RANDOM.random((3, 5), np.float32)
+        with recording(tape):
+            made = compute(table, seconds)
+        device.sync()
+        gc.collect()
+        assert not tape.is_replayable
+        assert [array() for array in dropped] == [None] * len(dropped)
+        kept.append(made)
+        np.testing.assert_array_equal(values(device, made), values(device, compute(table, seconds)))
+    assert all(array is kept[0] for array in kept)
 
 
 def test_large_constants_are_given_again(device):

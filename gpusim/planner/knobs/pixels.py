@@ -20,6 +20,7 @@ from gpusim.optics.geometry import (
     DistortionGrid,
     distortion_grid,
     flat_of_lens,
+    lagrange_weights,
     microlens_gain,
     place_phases,
     relative_illumination,
@@ -43,6 +44,7 @@ from gpusim.planner.question import DECLARED, Notes, Question, displacement_suff
 
 NEGLIGIBLE = 0.01  # of a sample: a distortion below it may be left out
 FIELD_WAVELENGTHS = 5  # that stand for all in the flat field of a blur that varies
+LAW_CELLS = 256  # along the longer side, between which cos^4 is interpolated in large frames
 LEAST_LOSS = 1e-5  # a fall-off below it may be left out
 FAR = 10.0  # times below the tolerance: patterns that are left out
 # of a normal distribution: 99.9 % of the pixels, all of some megapixels [sigma]
@@ -345,18 +347,34 @@ def _flat_of_blur(question, from_axis, probes, notes):
 def _undistorted_law(distortion, shape, pitch, displacement, slope):
     """Return cos^4 of the angle from the axis at which every pixel's light comes, (rows, cols).
 
+    In large frames it is interpolated by cubics, to 1e-7 of the axis.
+
     pitch: of the pixels [m]. slope: of a pinhole per pixel; a calibration has its own.
     """
+    rows, cols = (np.arange(n, dtype=float) for n in shape)
+    cells = [ceil(n * LAW_CELLS / max(shape)) for n in shape]
+    is_large = max(shape) > 2 * LAW_CELLS and min(cells) >= 3
+    if is_large:
+        rows, cols = (
+            np.linspace(0, n, count + 1) - 0.5 for n, count in zip(shape, cells, strict=True)
+        )
     y, x = (
-        (np.arange(n) - (n - 1) / 2 + move) * pitch / distortion.radius
-        for n, move in zip(shape, displacement, strict=True)
+        (at - (n - 1) / 2 + move) * pitch / distortion.radius
+        for at, n, move in zip((rows, cols), shape, displacement, strict=True)
     )
     x, y = ideal(distortion, x, y[:, None])
     if isinstance(distortion, Framed):
         tangent = np.hypot(*distortion.normalise(x, y))
     else:
         tangent = np.hypot(x, y) * distortion.radius / pitch * slope
-    return (1 + tangent**2) ** -2
+    law = (1 + tangent**2) ** -2
+    if not is_large:
+        return law
+    down, across = (
+        lagrange_weights(count + 1, (np.arange(n) + 0.5) / n)
+        for n, count in zip(shape, cells, strict=True)
+    )
+    return np.maximum(down @ law @ across.T, 0)
 
 
 def without_negligible(sensor: Sensor, tolerance: Tolerance | None) -> tuple[Sensor, list[str]]:
