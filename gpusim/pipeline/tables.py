@@ -185,8 +185,9 @@ class LensTables:
         """
         blur = plan.find(Blur)
         assert blur is not None
-        *lens, _, q = self._made_of(plan)
-        made_of = (*lens, (0.0, 0.0), q), blur.period, plan.weights, plan.flat, self.device
+        optics, *lens, _, q = self._made_of(plan)
+        optics = replace(optics, wavefront=Wavefront(), defocus=0.0)  # rays know these
+        made_of = (optics, *lens, (0.0, 0.0), q), blur.period, plan.weights, plan.flat, self.device
         return self._cache("transfer in focus", tables_in_focus, *made_of)
 
     def displacement(self, plan: Plan) -> tuple[float, float]:

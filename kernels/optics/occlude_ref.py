@@ -8,11 +8,15 @@ import numpy as np
 from gpusim.optics.occlusion import covariance
 
 
-def occlude(base, lights, alphas, places, members, radii, points, border, margin=0):
+def occlude(
+    base, lights, alphas, places, members, radii, points, border, margin=0, weights=None, bends=None
+):
     """Return the stage's result, see `occlude.py`."""
+    if weights is None:
+        weights, bends = (), ()
     out = np.array(base, np.float64)
     y, x = np.asarray(places).T
     at = np.asarray(places) + margin
-    change = covariance(lights, alphas, at, members, radii, points, border)
+    change = covariance(lights, alphas, at, members, radii, points, border, weights, bends)
     out[:, y, x] = np.maximum(out[:, y, x] + change, 0)
     return out

@@ -105,9 +105,11 @@ def rays_and_product(layers, pupil, q, fine, count, aberration=None, transfer=No
     apart = 0.0, 0.0
     for (v, u), weight in zip(rays, counts / counts.sum(), strict=True):
         through = np.ones(y.shape)
-        if aberration is not None:
-            apart = aberration(v, u, y, x)
         for k, (layer, radius) in enumerate(zip(layers, radii, strict=True)):
+            if aberration is not None:  # of the place in the field that is seen
+                apart = aberration(v, u, y + radius * v, x + radius * u)
+                seen_at = y + radius * v + apart[0], x + radius * u + apart[1]
+                apart = aberration(v, u, *seen_at)
             i = np.clip(np.floor(y + radius * v + apart[0] + 0.5).astype(int), 0, size - 1)
             j = np.clip(np.floor(x + radius * u + apart[1] + 0.5).astype(int), 0, size - 1)
             own = layer.alpha[i, j]
@@ -197,14 +199,17 @@ def error_in_sigma(
     """
     cam = camera(optics, pitch)
     scene = scene_of(layers, optics, pitch)
-    flat = one_layer(Flat(np.ones((SIZE, SIZE)), 1, 0.0), cam)
     plain = camera(replace(optics, distortion=None), pitch)
     seconds = well / one_layer(Flat(np.ones((SIZE, SIZE)), 1, 0.0), plain).mean()
     simulator = Simulator(cam, device=device, tolerance="video")
     frame = simulator.expose(scene, seconds)
     mean = np.array(simulator.device.numpy(frame.mean), np.float64)
     each = [one_layer(one, cam) * seconds / well for one in layers]
-    covers = [one_layer(replace(one, light=1.0), cam) / flat for one in layers]
+    # a lens that varies shades even light, at each distance its own way
+    covers = [
+        one_layer(replace(one, light=1.0), cam) / one_layer(replace(one, light=1.0, alpha=1.0), cam)
+        for one in layers
+    ]
     q = 550e-9 * optics.working_f_number / pitch
     rays, product = rays_and_product(layers, optics.pupil, q, *points, **lens)
     truth = well * (compose(np.array(each), np.array(covers)) + placed(rays - product))
