@@ -19,6 +19,7 @@ FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
 COUNTS = (128, 256, 512, 1024, 2048)
 MOST_CELLS = 4096
+MANY = 2**17  # points of the pupil whose cells are counted
 USUAL = 0.999  # quantile of the light of a layer that is taken for its brightest
 BLOCK = 16  # [sample] of blocks whose brightest light is taken
 TOGETHER = 2**16  # places times points that are summed at once
@@ -30,6 +31,7 @@ NODES = (
     17,
     33,
 )  # of the field, along rows and columns, between which displacements are cubic
+MOST_TRIED = 0.99  # quantile of these places that stands for all
 PROBED = 24  # places of the field, and
 PROBES = 256  # points of the pupil, at which displacements are compared
 
@@ -109,7 +111,7 @@ class Bending:
         tried = low + (high - low) * random.random((PROBED, 2))
         wanted = self._waves(tried)
         error = np.inf
-        for count in NODES if self._varies else (1,):
+        for count in NODES if self.varies else (1,):
             nodes = [np.linspace(*ends, count) for ends in zip(low, high, strict=True)]
             at = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
             waves = self._waves(at)
@@ -149,13 +151,16 @@ class Bending:
         return self._bends(self._made[2], points).astype(np.float32)
 
     @property
-    def _varies(self):
+    def varies(self) -> bool:
+        """Whether they depend on the place."""
         own = self.optics.wavefront
         return bool(own.heights) or any(own.seidel[1:])
 
     def _waves(self, places):
         """Wavefronts at places, (n, i, j) [wave at the reference]."""
-        y, x = self._varies * ((np.asarray(places, float) - self.axis) / self.corner).T
+        y, x = ((np.asarray(places, float) - self.axis) / self.corner).T
+        if not self.varies:
+            y, x = 0 * np.abs(y), 0 * np.abs(x)
         polynomial = self.optics.wavefront.polynomial
         return np.stack(
             [polynomial(*one) for one in zip(np.hypot(y, x), np.arctan2(y, x), strict=True)]
@@ -276,6 +281,26 @@ def pupil_cells(pupil: Pupil, radii: Iterable[float]) -> np.ndarray | None:
     return np.stack([middle[y], middle[x], areas[y, x] / areas.sum()], axis=1)
 
 
+def bent_cells(pupil: Pupil, radii: np.ndarray, bending: Bending) -> np.ndarray | None:
+    """Return the parts of the pupil of an aberrated lens through which the same samples are seen; None if too many.
+
+    The lens is the same all over the field. A part stands for all of MANY points that see the same samples, and is one
+    of them.
+    """
+    points = pupil_points(pupil, MANY)
+    weights = bending.of_places(np.zeros((1, 2)))
+    bent = np.tensordot(weights[:, 0], bending.of_points(points), 1)
+    key = np.zeros(MANY, np.int64)
+    for radius in np.unique(radii):
+        for axis in (0, 1):
+            seen = np.floor(radius * points[:, axis] + bent[:, axis] + 0.5).astype(np.int64)
+            _, key = np.unique(key * (np.ptp(seen) + 1) + seen - seen.min(), return_inverse=True)
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    if len(first) > MOST_CELLS:
+        return None
+    return np.column_stack([points[first, :2], count / MANY])
+
+
 def find_occlusion(
     sheets: Sequence[Sheet],
     pupil: Pupil,
@@ -327,8 +352,11 @@ def find_occlusion(
 
     distinct = np.unique(radii[members >= 0])
     cells = None
-    if bending is None and len(distinct) <= len(sheets):
-        cells = pupil_cells(pupil, distinct)
+    if len(distinct) <= len(sheets):
+        if bending is None:
+            cells = pupil_cells(pupil, distinct)
+        elif not bending.varies:
+            cells = bent_cells(pupil, distinct, bending)
     if cells is not None:
         points, changed, numeric = cells, values(cells), 0.0
     else:
@@ -355,16 +383,21 @@ def find_occlusion(
 
 
 def _bending_error(bending, values, points, changed, tried):
-    """Error by displacements between nodes, and by those of the place that is seen instead of its source's.
+    """Error of the displacements: between nodes, and of those at the place that sees instead of the place that is seen.
 
-    values: see `find_occlusion`. tried: places, members and radii.
+    A source's light is thinned, too, where displacements change from place to place. values: see `find_occlusion`.
+    tried: places, members and radii.
     """
-    straight = 0.0
-    for axis in (0, 1):
-        sources = tried[0] + 0.5 * np.abs(tried[2]).max(axis=0)[:, None] * np.eye(2)[axis]
-        straight += _size(values(points, sources) - values(points)) ** 2
-    between = bending.error / max(bending.reach, BENT) * _size(changed)
-    return straight**0.5 + between
+    places, reach = tried[0], np.abs(tried[2]).max(axis=0) + bending.reach
+    apart, steep = 0.0, 0.0
+    for step in np.eye(2):
+        there = values(points, places + reach[:, None] / 2 * step)
+        apart += np.quantile(np.abs(there - changed), MOST_TRIED) ** 2
+        weights = bending.of_places(places + step) - bending.of_places(places)
+        moved = np.tensordot(weights.T, bending.of_points(points[:PROBES]), 1)
+        steep += np.abs(moved).max(initial=0)
+    between = bending.error / max(bending.reach, BENT)
+    return apart**0.5 + (between + steep) * np.quantile(np.abs(changed), MOST_TRIED)
 
 
 def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:

@@ -291,6 +291,18 @@ def seidel(v, u, y, x):
     ]
 
 
+def zernike(v, u, y, x):
+    """As above for Noll's 6^.5 2 u v, 6^.5 (u u - v v), 8^.5 (3 r^2 - 2) v and 5^.5 (6 r^4 - 6 r^2 + 1)."""
+    first, second, third, fourth = NOLL
+    square, root = u * u + v * v, 6**0.5
+    fourth = fourth * 5**0.5 * (24 * square - 12)
+    down = (
+        first * root * 2 * u - second * root * 2 * v + third * 8**0.5 * (3 * square - 2 + 6 * v * v)
+    )
+    across = first * root * 2 * v + second * root * 2 * u + third * 8**0.5 * 6 * u * v
+    return 2 * Q * (down + fourth * v), 2 * Q * (across + fourth * u)
+
+
 def bent(picture):
     """A picture behind the calibration of `LENSES`, at the places that OpenCV finds, by cubics."""
     y, x = np.meshgrid(*[np.arange(SIZE, dtype=float)] * 2, indexing="ij")
@@ -311,12 +323,15 @@ MATRIX = np.array([[1250.0, 0, 23.5], [0, 1250.0, 23.5], [0, 0, 1.0]])
 BENT = np.array([-40.0, 0, 0, 0, 0])  # 3 % in the corner
 CALIBRATION = Calibration.of(MATRIX, list(BENT), (SIZE, SIZE))
 SEIDEL = Wavefront(seidel=(0, COMA, ASTIGMATISM, FIELD, 0))
+NOLL = (0.1, -0.08, 0.1, 0.05)  # [wave RMS]
+ZERNIKE = Wavefront((0, 0, 0, 0, *NOLL[:3], 0, 0, 0, NOLL[3]))
 LENSES = {
     "six blades": (
         replace(PHONE, pupil=SIX),
         {"transfer": lambda fy, fx: transfer_of(SIX, fy, fx, Q)},
     ),
     "Seidel": (replace(PHONE, wavefront=SEIDEL), {"aberration": seidel}),
+    "Zernike": (replace(PHONE, wavefront=ZERNIKE), {"aberration": zernike}),
     "distortion": (replace(PHONE, distortion=CALIBRATION), {"placed": bent}),
 }
 
