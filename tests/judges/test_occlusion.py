@@ -84,13 +84,16 @@ def transfer_of(pupil, fy, fx, q):
     return map_coordinates(overlap, at, order=1)
 
 
-def rays_and_product(layers, pupil, q, fine, count, aberration=None, transfer=None):
+def rays_and_product(
+    layers, pupil, q, fine, count, aberration=None, transfer=None, is_uniform=False
+):
     """What a pixel sees by rays, and what the product of the layers' own means gives; diffraction in focus for both.
 
     The middle of a pixel, and `fine` x `fine` points a sample for the diffraction, look through
     each point u of the pupil at layer k at x + c_k u / 2. Samples are even over their cells.
     aberration: function (v, u, y, x) that gives what is added to the places, (rows, cols). transfer: in
-    focus, of frequencies (fy, fx) [cycle/sample]; None: of a circle, near it for others.
+    focus, of frequencies (fy, fx) [cycle/sample]; None: of a circle, near it for others. is_uniform:
+    whether the aberration is the same at all places.
     """
     size = layers[0].light.shape[0]
     at = (np.arange(-fine * 8, fine * (size + 8)) + 0.5) / fine - 0.5  # eight samples around
@@ -101,7 +104,7 @@ def rays_and_product(layers, pupil, q, fine, count, aberration=None, transfer=No
         np.broadcast_to(layer.confusion, layer.light.shape)[near[0], near[1]] / 2
         for layer in layers
     ]
-    rays, counts = distinct(rays_of(pupil, count), layers, fine, aberration)
+    rays, counts = distinct(rays_of(pupil, count), layers, fine, aberration, is_uniform)
     apart = 0.0, 0.0
     for (v, u), weight in zip(rays, counts / counts.sum(), strict=True):
         through = np.ones(y.shape)
@@ -132,13 +135,15 @@ def rays_and_product(layers, pupil, q, fine, count, aberration=None, transfer=No
     return image(seen)[0], compose(image(lights), image(alphas))
 
 
-def distinct(rays, layers, fine, aberration=None):
+def distinct(rays, layers, fine, aberration=None, is_uniform=False):
     """Rays of which no two see the same samples of layers that are all at one distance; the rays each stands for."""
-    if aberration is not None or any(np.ndim(layer.confusion) for layer in layers):
+    varies = aberration is not None and not is_uniform
+    if varies or any(np.ndim(layer.confusion) for layer in layers):
         return rays, np.ones(len(rays))
+    bends = (0.0, 0.0) if aberration is None else aberration(*rays.T, 0.0, 0.0)
     within = (np.arange(fine) + 0.5) / fine - 0.5
     keys = [
-        np.floor(within + layer.confusion / 2 * rays[:, axis, None] + 0.5)
+        np.floor(within + (layer.confusion / 2 * rays[:, axis] + bends[axis])[..., None] + 0.5)
         for layer in layers
         for axis in (0, 1)
     ]
@@ -218,11 +223,15 @@ def error_in_sigma(
 
 
 def one_layer(layer, cam):
-    """Electrons of one second of a layer in front of nothing."""
+    """Electrons of one second of a layer in front of nothing.
+
+    Where the blur varies, kernels for no tolerance err by 4e-4, with seams of 3e-3 where tiles meet.
+    """
     light = layer.light * np.ones((SIZE, SIZE)) * layer.alpha
     alone = Flat(light, np.ones((SIZE, SIZE)), layer.confusion)
     scene = scene_of([alone], cam.optics, cam.sensor.pixel_pitch)
-    simulator = Simulator(cam, device="numpy")
+    tolerance = 1e-4 if cam.optics.varies else None
+    simulator = Simulator(cam, device="numpy", tolerance=tolerance)
     return np.array(simulator.expose(scene, 1.0).mean, np.float64)
 
 
@@ -331,15 +340,19 @@ LENSES = {
         {"transfer": lambda fy, fx: transfer_of(SIX, fy, fx, Q)},
     ),
     "Seidel": (replace(PHONE, wavefront=SEIDEL), {"aberration": seidel}),
-    "Zernike": (replace(PHONE, wavefront=ZERNIKE), {"aberration": zernike}),
+    "Zernike": (replace(PHONE, wavefront=ZERNIKE), {"aberration": zernike, "is_uniform": True}),
     "distortion": (replace(PHONE, distortion=CALIBRATION), {"placed": bent}),
 }
+
+
+# 99.9 % of the pixels at 10,000 electrons [sigma]
+LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.45, "distortion": 0.6}
 
 
 @pytest.mark.parametrize(
     "lens",
     [
-        "distortion",
+        *("distortion", "Zernike"),
         *(pytest.param(one, marks=pytest.mark.slow) for one in ("six blades", "Seidel")),
     ],
 )
@@ -354,21 +367,20 @@ LENSES = {
     ],
 )
 def test_edges_behind_any_lens_are_those_of_rays(lens, name):
-    """As above: 0.15 sigma at 10,000 electrons behind six blades; and never "met" if it is not below 0.1.
+    """As above: 0.1 sigma behind blades and aberrations that are the same everywhere; never "met" if it is above.
 
     A distortion moves steps between samples, of coverage and of light, which are resampled: 0.6 sigma.
-    Behind aberrations the sum over the pupil takes rays of a lens without: a wave over the pupil moves
-    them by up to 2 samples. The account has bounds of both.
+    A frame of 48 samples with waves of aberration in its corner has other displacements of rays at
+    each place that a pixel sees: by up to 0.05 sample for each sample in between, which is up to a
+    third of a sample here. The account has bounds of both.
     """
     optics, more = LENSES[lens]
     layers, points = SCENES[name]
-    if "aberration" in more:
+    if lens == "Seidel":
         points = SLANTED
     error, plan = error_in_sigma(layers, optics, points=points, **more)
     own = np.quantile(np.abs(error), 0.999)
-    if lens != "Seidel":
-        usual = 0.25 if name in ("slanted", "back in focus") else 0.15
-        assert own < (0.6 if lens == "distortion" else usual)
+    assert own < (0.25 if name in ("slanted", "back in focus") else 0) + LIMITS[lens]
     assert own < 1.5 * plan.account.total.p999_sigma + 0.03
     if plan.verdict.is_met:
         assert own <= 0.1

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.interpolation import node_weights
-from gpusim.domain.pupil import LONGEST_WAVEFRONT
+from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil
 from gpusim.domain.spectrum import values_of
 from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth, power_and_contrast
 from gpusim.optics.edges import span_of
@@ -353,10 +353,10 @@ def _doubt_of(depth, picture, box):
 def _left_of(question, sheets, begin):
     """Share of the blur of products by diffraction in focus that is left after it was computed.
 
-    All of it if it is not known well: behind aberrations in focus, and at edges so near the frame's
+    All of it if it is not known well: behind aberrations in focus and measured lenses, and at edges so near the frame's
     that light from outside takes part. begin: first row and column of the sheets in the frame.
     """
-    if not question.lens.is_airy:
+    if not replace(question.optics, pupil=Pupil()).is_ideal:
         return 1.0
     for sheet in sheets[:-1]:
         reach = int(np.ceil(np.abs(sheet.radius).max())) + NEAR_FRAME
