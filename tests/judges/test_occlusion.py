@@ -15,7 +15,7 @@ from gpusim.domain.scene import Layer, Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.depth import circle_of_confusion, distance_of
 from gpusim.optics.lens import PupilLens
-from gpusim.optics.occlusion import Sheet, covariance, find_occlusion
+from gpusim.optics.occlusion import Bending, Sheet, covariance, find_occlusion
 from gpusim.pipeline.simulator import Simulator
 
 SIZE = 48
@@ -211,9 +211,12 @@ def error_in_sigma(
     mean = np.array(simulator.device.numpy(frame.mean), np.float64)
     each = [one_layer(one, cam) * seconds / well for one in layers]
     # a lens that varies shades even light, at each distance its own way
-    covers = [
-        one_layer(replace(one, light=1.0), cam) / one_layer(replace(one, light=1.0, alpha=1.0), cam)
+    even = [
+        one_layer(Flat(np.ones((SIZE, SIZE)), 1, one.confusion if optics.varies else 0.0), cam)
         for one in layers
+    ]
+    covers = [
+        one_layer(replace(one, light=1.0), cam) / its for one, its in zip(layers, even, strict=True)
     ]
     q = 550e-9 * optics.working_f_number / pitch
     rays, product = rays_and_product(layers, optics.pupil, q, *points, **lens)
@@ -352,8 +355,8 @@ LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.45, "distortion": 0.6}
 @pytest.mark.parametrize(
     "lens",
     [
-        *("distortion", "Zernike"),
-        *(pytest.param(one, marks=pytest.mark.slow) for one in ("six blades", "Seidel")),
+        "distortion",
+        *(pytest.param(one, marks=pytest.mark.slow) for one in ("Zernike", "six blades", "Seidel")),
     ],
 )
 @pytest.mark.parametrize(
@@ -372,7 +375,8 @@ def test_edges_behind_any_lens_are_those_of_rays(lens, name):
     A distortion moves steps between samples, of coverage and of light, which are resampled: 0.6 sigma.
     A frame of 48 samples with waves of aberration in its corner has other displacements of rays at
     each place that a pixel sees: by up to 0.05 sample for each sample in between, which is up to a
-    third of a sample here. The account has bounds of both.
+    third of a sample here. Light in focus behind an aberration is spread over few samples, between which
+    the sum is not known: 0.8 sigma. The account has bounds of all.
     """
     optics, more = LENSES[lens]
     layers, points = SCENES[name]
@@ -380,7 +384,10 @@ def test_edges_behind_any_lens_are_those_of_rays(lens, name):
         points = SLANTED
     error, plan = error_in_sigma(layers, optics, points=points, **more)
     own = np.quantile(np.abs(error), 0.999)
-    assert own < (0.25 if name in ("slanted", "back in focus") else 0) + LIMITS[lens]
+    usual = LIMITS[lens]
+    if name in ("slanted", "back in focus"):
+        usual = 1.0 if lens == "Zernike" else max(usual, 0.25)
+    assert own < usual
     assert own < 1.5 * plan.account.total.p999_sigma + 0.03
     if plan.verdict.is_met:
         assert own <= 0.1
@@ -419,6 +426,32 @@ def test_sums_over_any_pupil_are_those_of_rays(pupil, name):
     own[found.places[:, 0], found.places[:, 1]] = change
     np.testing.assert_allclose(own, rays - product, atol=3e-3)
     assert np.abs(rays - product).max() > 0.03
+
+
+@pytest.mark.parametrize("lens", ["Zernike", "Seidel"])
+def test_sums_over_an_aberrated_pupil_are_those_of_rays(lens):
+    """As above; behind Seidel's aberrations, by 2048 points, 1e-2: places that are seen are elsewhere in the field.
+
+    Rays of a lens without aberrations differ by more.
+    """
+    layers = SCENES["on both sides"][0]
+    sheets = [
+        Sheet(one.light * one.alpha, one.alpha, one.confusion / 2 + 0 * ONE) for one in layers
+    ]
+    optics, more = LENSES[lens]
+    middle = ((SIZE - 1) / 2,) * 2
+    bending = Bending(optics, PITCH, middle, SIZE / 2**0.5, ((-1, -1), (SIZE, SIZE)))
+    light, alpha = (np.stack([getattr(one, key) for one in sheets]) for key in ("light", "alpha"))
+    rays, product = rays_and_product(layers, Pupil(), 1e-9, 1, 6000, **more)
+    errors = []
+    for used in (bending, None):
+        found = find_occlusion(sheets, Pupil(), "edge", 1e-4, bending=used)
+        own = np.zeros((SIZE, SIZE))
+        chosen = found.places, found.members, found.radii, found.points
+        chosen = *chosen, "edge", found.weights, found.bends
+        own[found.places[:, 0], found.places[:, 1]] = covariance(light[:, None], alpha, *chosen)[0]
+        errors.append(np.abs(own - rays + product).max())
+    assert errors[0] < (3e-3 if lens == "Zernike" else 1e-2) < errors[1]
 
 
 @pytest.mark.parametrize("confusion", [-9.0, 9.0])
