@@ -66,8 +66,9 @@ __kernel void occlude(
 #pragma unroll
         for (int s = 0; s < SHEETS; ++s) {
             if (there[s] == 0.0f) continue;
-            const int i = y + (int)floor(radius[s] * v + down + 0.5f);
-            const int j = x + (int)floor(radius[s] * u + across + 0.5f);
+            const float seen_y = BENDS ? radius[s] * v + down : radius[s] * v;
+            const float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
+            const int i = y + (int)floor(seen_y + 0.5f), j = x + (int)floor(seen_x + 0.5f);
             const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
             float own = there[s] * lights[light[s] + at];
             if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) own = 0.0f;
