@@ -111,7 +111,7 @@ class Bending:
         tried = low + (high - low) * random.random((PROBED, 2))
         wanted = self._waves(tried)
         error = np.inf
-        for count in NODES if self.varies else (1,):
+        for count in NODES if self.is_local else (1,):
             nodes = [np.linspace(*ends, count) for ends in zip(low, high, strict=True)]
             at = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
             waves = self._waves(at)
@@ -151,7 +151,7 @@ class Bending:
         return self._bends(self._made[2], points).astype(np.float32)
 
     @property
-    def varies(self) -> bool:
+    def is_local(self) -> bool:
         """Whether they depend on the place."""
         own = self.optics.wavefront
         return bool(own.heights) or any(own.seidel[1:])
@@ -159,7 +159,7 @@ class Bending:
     def _waves(self, places):
         """Wavefronts at places, (n, i, j) [wave at the reference]."""
         y, x = ((np.asarray(places, float) - self.axis) / self.corner).T
-        if not self.varies:
+        if not self.is_local:
             y, x = 0 * np.abs(y), 0 * np.abs(x)
         polynomial = self.optics.wavefront.polynomial
         return np.stack(
@@ -355,7 +355,7 @@ def find_occlusion(
     if len(distinct) <= len(sheets):
         if bending is None:
             cells = pupil_cells(pupil, distinct)
-        elif not bending.varies:
+        elif not bending.is_local:
             cells = bent_cells(pupil, distinct, bending)
     if cells is not None:
         points, changed, numeric = cells, values(cells), 0.0

@@ -19,6 +19,7 @@ from gpusim.optics.field import image_error, natural_difference
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.kernel_space import KernelSpace
+from gpusim.optics.lens import open_lens
 from gpusim.optics.occlusion import SHARP, Bending, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
@@ -356,7 +357,7 @@ def _left_of(question, sheets, begin):
     All of it if it is not known well: behind aberrations in focus and measured lenses, and at edges so near the frame's
     that light from outside takes part. begin: first row and column of the sheets in the frame.
     """
-    if not replace(question.optics, pupil=Pupil()).is_ideal:
+    if not open_lens(replace(question.optics, pupil=Pupil()), question.pitch).is_airy:
         return 1.0
     for sheet in sheets[:-1]:
         reach = int(np.ceil(np.abs(sheet.radius).max())) + NEAR_FRAME
