@@ -7,21 +7,33 @@ changes, from the variation of coverage and light within the blurs, finds the pl
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 
 import numpy as np
 import scipy
 
+from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil
 
 FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
 COUNTS = (128, 256, 512, 1024, 2048)
 MOST_CELLS = 4096
+MANY = 2**17  # points of the pupil whose cells are counted
 USUAL = 0.999  # quantile of the light of a layer that is taken for its brightest
 BLOCK = 16  # [sample] of blocks whose brightest light is taken
 TOGETHER = 2**16  # places times points that are summed at once
 SAMPLED = 400  # places at which errors of the sum are measured
+BENT = 0.01  # [sample] by which displacements of rays may err
+NODES = (
+    5,
+    9,
+    17,
+    33,
+)  # of the field, along rows and columns, between which displacements are cubic
+MOST_TRIED = 0.99  # quantile of these places that stands for all
+PROBED = 24  # places of the field, and
+PROBES = 256  # points of the pupil, at which displacements are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +82,114 @@ class Sheet:
 
 
 @dataclass(frozen=True, eq=False)
+class Bending:
+    """Displacements of rays by the aberrations of a lens, as sums of few terms.
+
+    A ray through the point u of the pupil meets the image at -2 lambda N grad W(u) from its ideal place. So a place
+    of the image sees through u what lies as far on the other side.
+
+    Attributes:
+        optics: The lens.
+        pitch: Distance of the samples [m].
+        axis: Row and column at which the optical axis meets the frame [sample].
+        corner: Distance of field height 1 from there [sample].
+        box: Rows and columns between which places may lie, (least, greatest).
+    """
+
+    optics: Optics
+    pitch: float
+    axis: tuple[float, float]
+    corner: float
+    box: tuple[tuple[int, int], tuple[int, int]]
+
+    @cached_property
+    def _made(self):
+        """Nodes along rows and columns, weights (n, n, K), wavefronts of the terms (K, i, j), error [sample]."""
+        points = pupil_points(self.optics.pupil, PROBES)
+        random = np.random.default_rng(0)
+        low, high = np.array(self.box, float)
+        tried = low + (high - low) * random.random((PROBED, 2))
+        wanted = self._waves(tried)
+        error = np.inf
+        for count in NODES if self.is_local else (1,):
+            nodes = [np.linspace(*ends, count) for ends in zip(low, high, strict=True)]
+            at = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
+            waves = self._waves(at)
+            bends = self._bends(waves, points).reshape(len(at), -1)
+            own, size, _ = np.linalg.svd(bends, full_matrices=False)
+            # what is left of each of them is at most the rest's
+            rest = np.sqrt(np.cumsum(size[::-1] ** 2))[::-1]
+            terms = max(int((rest > BENT / 4).sum()), 1)
+            weights = (own * size)[:, :terms].reshape(count, count, terms)
+            parts = np.tensordot(own[:, :terms] / np.maximum(size[:terms], 1e-300), waves, (0, 0))
+            found = np.tensordot(self._interpolate(nodes, weights, tried), parts, (0, 0))
+            error = float(np.abs(self._bends(found - wanted, points)).max(initial=0))
+            if error <= BENT:
+                break
+        return nodes, weights, parts, error
+
+    @property
+    def error(self) -> float:
+        """Largest error of displacements that was found [sample]."""
+        return self._made[-1]
+
+    @cached_property
+    def reach(self) -> float:
+        """Largest displacement at the nodes [sample]."""
+        _, weights, parts, _ = self._made
+        bends = self.of_points(pupil_points(self.optics.pupil, PROBES)).astype(np.float64)
+        every = np.tensordot(weights.reshape(-1, len(parts)), bends, 1)
+        return float(np.hypot(every[..., 0], every[..., 1]).max(initial=0))
+
+    def of_places(self, places: np.ndarray) -> np.ndarray:
+        """Return the weight of each term at places (E, 2) of the frame, float32 (K, E)."""
+        nodes, weights, _, _ = self._made
+        return self._interpolate(nodes, weights, np.asarray(places, float)).astype(np.float32)
+
+    def of_points(self, points: np.ndarray) -> np.ndarray:
+        """Return the displacement of each term at points (M, 3) of the pupil, float32 (K, M, 2) [sample]."""
+        return self._bends(self._made[2], points).astype(np.float32)
+
+    @property
+    def is_local(self) -> bool:
+        """Whether they depend on the place."""
+        own = self.optics.wavefront
+        return bool(own.heights) or any(own.seidel[1:])
+
+    def _waves(self, places):
+        """Wavefronts at places, (n, i, j) [wave at the reference]."""
+        y, x = ((np.asarray(places, float) - self.axis) / self.corner).T
+        if not self.is_local:
+            y, x = 0 * np.abs(y), 0 * np.abs(x)
+        polynomial = self.optics.wavefront.polynomial
+        return np.stack(
+            [polynomial(*one) for one in zip(np.hypot(y, x), np.arctan2(y, x), strict=True)]
+        )
+
+    def _bends(self, waves, points):
+        """Displacements (n, M, 2) [sample] of wavefronts (n, i, j)."""
+        y, x = points[:, 0], points[:, 1]
+        power = np.arange(waves.shape[1])
+        down, across = (
+            np.einsum("nij,mi,mj->nm", waves, xs, ys)
+            for xs, ys in (
+                (x[:, None] ** power, power * y[:, None] ** np.maximum(power - 1, 0)),
+                (power * x[:, None] ** np.maximum(power - 1, 0), y[:, None] ** power),
+            )
+        )
+        scale = 2e-9 * self.optics.wavefront.reference * self.optics.working_f_number / self.pitch
+        return scale * np.stack([down, across], axis=-1)
+
+    @staticmethod
+    def _interpolate(nodes, weights, places):
+        """Weights (K, E) between nodes."""
+        if len(nodes[0]) == 1:
+            return np.repeat(weights[0, 0][:, None], len(places), axis=1)
+        spline = scipy.interpolate.RectBivariateSpline
+        return np.stack([spline(*nodes, one).ev(*places.T) for one in np.moveaxis(weights, -1, 0)])
+
+
+@dataclass(frozen=True, eq=False)
 class Occlusion:
     """Inputs of `optics.occlude` that do not depend on channels.
 
@@ -78,6 +198,8 @@ class Occlusion:
         members: Layers that take part, int32 (n, E).
         radii: Radii of their blurs [sample], float32 (n, E).
         points: y, x and share of points of the pupil, float32 (M, 3).
+        weights: Weight of each term of the rays' displacements at each place, float32 (K, E).
+        bends: Displacement by each term at each point, (rows, cols) [sample], float32 (K, M, 2).
         error: Bound of the changes that are not computed, and error of the sum over points where they are [brightness],
             shape (rows, cols).
         seen: Bound of what the sum changes where it is computed, scaled to the changes that were tried [brightness],
@@ -90,6 +212,8 @@ class Occlusion:
     members: np.ndarray
     radii: np.ndarray
     points: np.ndarray
+    weights: np.ndarray
+    bends: np.ndarray
     error: np.ndarray
     seen: np.ndarray
     is_diffracted: bool = False
@@ -98,13 +222,14 @@ class Occlusion:
     @property
     def work(self) -> float:
         """Multiplications and additions of one channel."""
-        return 12.0 * self.members.size * len(self.points)
+        own = 12 * len(self.members) + 4 * len(self.weights)
+        return float(own * len(self.places) * len(self.points))
 
     def within(self, margin: int, shape: tuple[int, int]) -> "tuple[np.ndarray, ...]":
-        """Return places, members and radii in a frame of `shape` that begins `margin` samples inside."""
+        """Return places, members, radii and weights in a frame of `shape` that begins `margin` samples inside."""
         at = self.places - margin
         some = ((at >= 0) & (at < shape)).all(axis=1)
-        return at[some], self.members[:, some], self.radii[:, some]
+        return at[some], self.members[:, some], self.radii[:, some], self.weights[:, some]
 
 
 def pupil_points(pupil: Pupil, count: int) -> np.ndarray:
@@ -156,8 +281,34 @@ def pupil_cells(pupil: Pupil, radii: Iterable[float]) -> np.ndarray | None:
     return np.stack([middle[y], middle[x], areas[y, x] / areas.sum()], axis=1)
 
 
+def bent_cells(pupil: Pupil, radii: np.ndarray, bending: Bending) -> np.ndarray | None:
+    """Return the parts of the pupil of an aberrated lens through which the same samples are seen; None if too many.
+
+    The lens is the same all over the field. A part stands for all of MANY points that see the same samples, and is one
+    of them.
+    """
+    points = pupil_points(pupil, MANY)
+    weights = bending.of_places(np.zeros((1, 2)))
+    bent = np.tensordot(weights[:, 0], bending.of_points(points), 1)
+    key = np.zeros(MANY, np.int64)
+    for radius in np.unique(radii):
+        for axis in (0, 1):
+            seen = np.floor(radius * points[:, axis] + bent[:, axis] + 0.5).astype(np.int64)
+            _, key = np.unique(key * (np.ptp(seen) + 1) + seen - seen.min(), return_inverse=True)
+    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    if len(first) > MOST_CELLS:
+        return None
+    return np.column_stack([points[first, :2], count / MANY])
+
+
 def find_occlusion(
-    sheets: Sequence[Sheet], pupil: Pupil, border: str, least: float, seed: int = 0
+    sheets: Sequence[Sheet],
+    pupil: Pupil,
+    border: str,
+    least: float,
+    seed: int = 0,
+    bending: Bending | None = None,
+    begin: tuple[int, int] = (0, 0),
 ) -> Occlusion:
     """Return the places of a picture that need the sum over the pupil, and its points.
 
@@ -167,15 +318,19 @@ def find_occlusion(
         border: "zero", "edge" or "reflect".
         least: Error of the brightness that does not count.
         seed: Of the choice of the places at which errors are measured.
+        bending: Displacements of rays by aberrations; None: there are none.
+        begin: Row and column of the sheets' first sample in the frame.
     """
     shape = sheets[0].alpha.shape
-    change, taking_part = _bounds(sheets, pupil)
+    change, taking_part = _bounds(sheets, pupil, bending.reach if bending else 0.0)
     places = np.argwhere(change > least).astype(np.int32)
     error = np.where(change > least, 0, change)
+    no_weights, no_bends = np.empty((0, len(places)), np.float32), np.empty((0, 0, 2), np.float32)
     if not len(places):
         nowhere, empty = np.empty((0, 2), np.int32), np.empty((0, 0), np.int32)
-        points = np.empty((0, 3), np.float32)
-        return Occlusion(nowhere, empty, empty.astype(np.float32), points, error, np.zeros(shape))
+        points, unbent = np.empty((0, 3), np.float32), (no_weights, no_bends)
+        radii = empty.astype(np.float32)
+        return Occlusion(nowhere, empty, radii, points, *unbent, error, np.zeros(shape))
     members = _members(taking_part, places)
     kinds = np.maximum(members, 0)
     radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
@@ -187,11 +342,21 @@ def find_occlusion(
     light = np.stack([one.light for one in sheets])[:, None]
     alpha = np.stack([one.alpha for one in sheets])
 
-    def values(points):
-        return covariance(light, alpha, *tried, points, border)[0]
+    def weights_at(at):
+        return bending.of_places(at + np.array(begin)) if bending else no_weights[:, : len(at)]
+
+    def values(points, at=None):
+        bends = bending.of_points(points) if bending else no_bends
+        weights = weights_at(tried[0] if at is None else at)
+        return covariance(light, alpha, *tried, points, border, weights, bends)[0]
 
     distinct = np.unique(radii[members >= 0])
-    cells = pupil_cells(pupil, distinct) if len(distinct) <= len(sheets) else None
+    cells = None
+    if len(distinct) <= len(sheets):
+        if bending is None:
+            cells = pupil_cells(pupil, distinct)
+        elif not bending.is_local:
+            cells = bent_cells(pupil, distinct, bending)
     if cells is not None:
         points, changed, numeric = cells, values(cells), 0.0
     else:
@@ -205,11 +370,34 @@ def find_occlusion(
             if wrong <= 2 * least:
                 points, numeric = fewer, wrong
                 break
+    weights, bends = no_weights, no_bends
+    if bending is not None:
+        weights, bends = weights_at(places), bending.of_points(points)
+        numeric += _bending_error(bending, values, points, changed, tried)
     error[places[:, 0], places[:, 1]] = numeric
     seen = np.where(change > least, change, 0)
     bound = _size(change[tried[0][:, 0], tried[0][:, 1]])
     seen *= _size(changed) / bound
-    return Occlusion(places, members, radii, points.astype(np.float32), error, seen)
+    chosen = places, members, radii, points.astype(np.float32), weights, bends
+    return Occlusion(*chosen, error, seen)
+
+
+def _bending_error(bending, values, points, changed, tried):
+    """Error of the displacements: between nodes, and of those at the place that sees instead of the place that is seen.
+
+    A source's light is thinned, too, where displacements change from place to place. values: see `find_occlusion`.
+    tried: places, members and radii.
+    """
+    places, reach = tried[0], np.abs(tried[2]).max(axis=0) + bending.reach
+    apart, steep = 0.0, 0.0
+    for step in np.eye(2):
+        there = values(points, places + reach[:, None] / 2 * step)
+        apart += np.quantile(np.abs(there - changed), MOST_TRIED) ** 2
+        weights = bending.of_places(places + step) - bending.of_places(places)
+        moved = np.tensordot(weights.T, bending.of_points(points[:PROBES]), 1)
+        steep += np.abs(moved).max(initial=0)
+    between = bending.error / max(bending.reach, BENT)
+    return apart**0.5 + (between + steep) * np.quantile(np.abs(changed), MOST_TRIED)
 
 
 def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:
@@ -255,8 +443,10 @@ def _members(taking_part, places):
     return np.where(np.take_along_axis(there, order, 0), order, -1).astype(np.int32)
 
 
-def _bounds(sheets, pupil):
+def _bounds(sheets, pupil, bent=0.0):
     """Bound of what the sum changes at each pixel, (rows, cols), and the layers that take part, (layers, rows, cols).
+
+    bent: most displacement of rays by aberrations [sample], which may crowd them anywhere.
 
     With L the light of a layer and of all behind it, L = b + (1 - a) L', the product's error is the covariance of a
     and L' and 1 - a of the error behind. A covariance is at most the product of the standard deviations, and that of L
@@ -268,10 +458,11 @@ def _bounds(sheets, pupil):
     taking_part, covered = [], np.zeros(sheets[0].alpha.shape, bool)
     parts = []
     for sheet in reversed(sheets):
-        reach = int(np.ceil(np.abs(sheet.radius).max() + 0.5))
-        sharp = np.abs(sheet.radius) <= SHARP
-        varies = np.where(sharp, 0, widen * _deviation(sheet.alpha, reach))
-        light_varies = np.where(sharp, 0, widen * _deviation(sheet.light, reach))
+        reach = int(np.ceil(np.abs(sheet.radius).max() + bent + 0.5))
+        sharp = np.abs(sheet.radius) + bent <= SHARP
+        spread = partial(_half_range, reach=reach) if bent else partial(_widened, widen, reach)
+        varies = np.where(sharp, 0, spread(sheet.alpha))
+        light_varies = np.where(sharp, 0, spread(sheet.light))
         clear = np.where(sharp | (varies == 0), 1 - sheet.alpha, 1)
         error = clear * error + varies * deviation
         deviation = light_varies + clear * deviation + varies * brightest
@@ -294,6 +485,18 @@ def _brightest(values, reach):
     return most[np.ix_(rows, cols)]
 
 
+def _widened(widen, reach, values):
+    """Largest standard deviation within the pupil."""
+    return widen * _deviation(values, reach)
+
+
+def _half_range(values, reach):
+    """Half of the range in the square of 2 reach + 1 samples: the most deviation of any rays there."""
+    size = {"size": 2 * reach + 1, "mode": "nearest"}
+    most = scipy.ndimage.maximum_filter(values, **size)
+    return (most - scipy.ndimage.minimum_filter(values, **size)) / 2
+
+
 def _deviation(values, reach):
     """Standard deviation in the square of 2 reach + 1 samples around each sample."""
     values = np.asarray(values, np.float64)
@@ -306,7 +509,7 @@ def _deviation(values, reach):
     return np.sqrt(np.where(variance > rounding, variance, 0))
 
 
-def covariance(lights, alphas, places, members, radii, points, border):
+def covariance(lights, alphas, places, members, radii, points, border, weights=(), bends=()):
     """Return the mean over the pupil of the light that layers let through, minus the product of means, (channels, E).
 
     Inputs as of `optics.occlude`. Only the choice of the sample that a point sees is made in float32, as on devices: a
@@ -314,17 +517,25 @@ def covariance(lights, alphas, places, members, radii, points, border):
     """
     lights, alphas, members = np.asarray(lights), np.asarray(alphas), np.asarray(members)
     radii, points = np.asarray(radii, np.float32), np.asarray(points, np.float32)
+    weights, bends = np.asarray(weights, np.float32), np.asarray(bends, np.float32)
     there, kinds = (members >= 0)[..., None], np.maximum(members, 0)[..., None]
     (count, _), channels, (rows, cols) = places.shape, lights.shape[1], alphas.shape[1:]
     exact = np.zeros((channels, count))
     mean_light = np.zeros((len(members), channels, count))
     mean_alpha = np.zeros((len(members), count))
     size = max(TOGETHER // max(count, 1), 1)
-    for some in (points[n : n + size] for n in range(0, len(points), size)):
+    for n in range(0, len(points), size):
+        some = points[n : n + size]
         v, u, share = some[:, 0], some[:, 1], some[:, 2].astype(np.float64)
+        bent = np.zeros((2, count, len(some)) if len(weights) else (2, 1, 1), np.float32)
+        for weight, bend in zip(weights, bends, strict=True):
+            bent += weight[:, None] * bend[n : n + size].T[:, None]
         through = np.ones((count, len(some)))
         for s, radius in enumerate(radii[..., None]):
-            down, across = (np.floor(radius * one + np.float32(0.5)) for one in (v, u))
+            down, across = (
+                np.floor(radius * one + more + np.float32(0.5))
+                for one, more in zip((v, u), bent, strict=True)
+            )
             y, dark_y = _sample(places[:, :1] + down, rows, border)
             x, dark_x = _sample(places[:, 1:] + across, cols, border)
             alpha = alphas[kinds[s], y, x] * there[s]

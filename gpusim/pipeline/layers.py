@@ -215,7 +215,7 @@ class _Groups:
         Its change is of rays, and is blurred by diffraction.
         """
         found, device = self._depth.occlusion, self._device
-        places, members, radii = found.within(self._margin, composed.shape[1:])
+        places, members, radii, weights = found.within(self._margin, composed.shape[1:])
         if not len(places):
             return composed
         moved = tables.displacement(self._plan)
@@ -231,6 +231,8 @@ class _Groups:
             self._border,
             margin=self._margin,
             change=True,
+            weights=weights,
+            bends=found.bends,
             device=device,
         )
         _, smooth = tables.in_focus(self._plan)

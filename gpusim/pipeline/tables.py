@@ -27,6 +27,7 @@ from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
 DRAFT_NODES = 5  # wavelengths between which kernels of drafts are cubic
+RADII, ANGLES = 65, 129  # of frequencies between which a transfer function in focus is linear
 SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 
 
@@ -185,8 +186,9 @@ class LensTables:
         """
         blur = plan.find(Blur)
         assert blur is not None
-        *lens, _, q = self._made_of(plan)
-        made_of = (*lens, (0.0, 0.0), q), blur.period, plan.weights, plan.flat, self.device
+        optics, *lens, _, q = self._made_of(plan)
+        optics = replace(optics, wavefront=Wavefront(), defocus=0.0)  # rays know these
+        made_of = (optics, *lens, (0.0, 0.0), q), blur.period, plan.weights, plan.flat, self.device
         return self._cache("transfer in focus", tables_in_focus, *made_of)
 
     def displacement(self, plan: Plan) -> tuple[float, float]:
@@ -312,21 +314,37 @@ def tables_at_distance(made_of, period, transfers, distance, white, flat, device
 def tables_in_focus(made_of, period, weights, flat, device) -> tuple:
     """Return tables of white in the channels: see `LensTables.in_focus`.
 
-    Diffraction only is of a circle, at each channel's mean wavelength: it blurs light that is
-    smooth.
+    The lens only, without samples, is at each channel's mean wavelength: it blurs light that is smooth. No frequency
+    is folded, as in tables for samples, whose copies add up.
     """
     white = weights / np.maximum(weights.sum(axis=1, keepdims=True), 1e-300)
     flat = np.broadcast_to(flat, white.shape[1:])
     bands = bands_of(made_of, period, device)
     cover = integrate(bands, device.array((white / flat).astype(np.float32)), device=device)
-    rows, cols = period
-    f = np.hypot(np.arange(rows // 2 + 1)[:, None] / rows, np.arange(cols // 2 + 1) / cols)
-    s = np.minimum(f * (white @ made_of[-1])[:, None, None], 1)
-    only = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    optics, pitch, *_, q = made_of
+    lens = open_lens(optics, pitch)
+    only = np.stack([_lens_only(lens, mean, period) for mean in white @ q])
     return (
         device.reshape(cover, (len(white), 1, *bands.shape[1:])),
         device.array(only[:, None].astype(np.float32)),
     )
+
+
+def _lens_only(lens, q, period):
+    """Transfer function of a lens in focus, a quarter if it is round, else a half: see `optics.blur`."""
+    rows, cols = period
+    down, across = np.fft.fftfreq(rows)[:, None], np.arange(cols // 2 + 1) / cols
+    if lens.is_airy:
+        s = np.minimum(np.hypot(down[: rows // 2 + 1], across) * q, 1)
+        return 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
+    # smooth along each direction, but not at 0
+    radii, angles = np.linspace(0, 0.5**0.5, RADII), np.linspace(-np.pi / 2, np.pi / 2, ANGLES)
+    at = np.multiply.outer([np.sin(angles), np.cos(angles)], radii / lens.pitch)
+    found = lens.transfer(lens.nanometres(np.array([q])), *at.reshape(2, -1))
+    polar = scipy.interpolate.RegularGridInterpolator((angles, radii), found.reshape(ANGLES, RADII))
+    places = np.broadcast_arrays(np.arctan2(down, across), np.hypot(down, across))
+    within = np.minimum(places[1], radii[-1])
+    return np.ascontiguousarray(polar(np.stack([places[0], within], axis=-1))).view(np.float64)
 
 
 def fit_gaussian(optics, pixel_pitch, aperture, q, light) -> float:

@@ -192,7 +192,9 @@ class Plan:
             varying and (varying.kernels, varying.edges),
             space and (space.kernels, space.edges, space.values),
             depth and (depth.distances, depth.kernels, depth.confusion),
-            depth and depth.occlusion and (depth.occlusion.radii, depth.occlusion.points),
+            depth
+            and (rays := depth.occlusion)
+            and (rays.radii, rays.points, rays.weights, rays.bends),
         )
         choices = (
             *((blur.folded, blur.spare, blur.period) if blur else (False, 0, self.content.shape)),

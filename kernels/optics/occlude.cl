@@ -19,8 +19,8 @@ __kernel void begin(
     out[at] = change ? 0.0f : base[at];
 }
 
-// One place in one channel per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS comes from the
-// host and unrolls the loops.
+// One place in one channel per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS and BENDS come
+// from the host and unroll the loops.
 __kernel void occlude(
     // in:
     __global const float *restrict base,    // [channels][rows][cols]
@@ -30,6 +30,8 @@ __kernel void occlude(
     __global const int *restrict members,   // [SHEETS][count]
     __global const float *restrict radii,   // [SHEETS][count]
     __global const float *restrict points,  // [points_][3]
+    __global const float *restrict weights, // [BENDS][count]
+    __global const float *restrict bends,   // [BENDS][points_][2]
     // out:
     __global float *restrict out,           // [channels][rows][cols]
     // params:
@@ -52,14 +54,24 @@ __kernel void occlude(
         light[s] = ((size_t)max(k, 0) * channels + c) * high * wide;
         mean_light[s] = mean_alpha[s] = 0.0f;
     }
+    float bent[BENDS + 1];
+#pragma unroll
+    for (int k = 0; k < BENDS; ++k) bent[k] = weights[k * count + e];
     float exact = 0.0f;
     for (int m = 0; m < points_; ++m) {
         const float v = points[3 * m], u = points[3 * m + 1], share = points[3 * m + 2];
-        float through = 1.0f;
+        float through = 1.0f, down = 0.0f, across = 0.0f;
+#pragma unroll
+        for (int k = 0; k < BENDS; ++k) {
+            down += bent[k] * bends[2 * (k * points_ + m)];
+            across += bent[k] * bends[2 * (k * points_ + m) + 1];
+        }
 #pragma unroll
         for (int s = 0; s < SHEETS; ++s) {
             if (there[s] == 0.0f) continue;
-            const int i = y + (int)floor(radius[s] * v + 0.5f), j = x + (int)floor(radius[s] * u + 0.5f);
+            const float seen_y = BENDS ? radius[s] * v + down : radius[s] * v;
+            const float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
+            const int i = y + (int)floor(seen_y + 0.5f), j = x + (int)floor(seen_x + 0.5f);
             const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
             float own = there[s] * lights[light[s] + at];
             if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) own = 0.0f;

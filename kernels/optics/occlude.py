@@ -2,17 +2,20 @@
 
 `optics.composite` multiplies means over the pupil. But a pixel sees both a layer and the gaps next to it through the
 same points of the pupil, so the mean of the product counts. With u a point of the pupil of radius 1, w its share of
-the light, and layer k seen at y_k = x + r_k u, of coverage a_k and light b_k = coverage times light,
+the light, and layer k seen at y_k = x + r_k u + d(x, u), of coverage a_k and light b_k = coverage times light,
 
     out(x) = base(x) + sum over k of  < b_k V_k > - < b_k > product over nearer j of (1 - < a_j >),
     V_k(u) = product over nearer j of (1 - a_j(y_j)),    < f > = sum over u of w f(y(u)).
+
+d is the displacement of rays by aberrations, a sum of terms: d(x, u) = sum over t of weights_t(x) bends_t(u).
 
 Each sample is even over its cell. The sum is over the layers that take part at a place, and at the places that are
 given: elsewhere the two are equal.
 
 Ports: base (channels, rows, cols) float32, lights (layers, channels, R, S) float32 in the base's unit, alphas (layers,
-R, S) float32 [1], places (E, 2) int32, members (n, E) int32, radii (n, E) float32 [sample], points (M, 3) float32 ->
-(channels, rows, cols) float32, out or its change from the base. R = rows + 2 margin, S = cols + 2 margin.
+R, S) float32 [1], places (E, 2) int32, members (n, E) int32, radii (n, E) float32 [sample], points (M, 3) float32,
+weights (T, E) float32 [1], bends (T, M, 2) float32 [sample] -> (channels, rows, cols) float32, out or its change from
+the base. R = rows + 2 margin, S = cols + 2 margin.
 """
 
 import functools
@@ -37,6 +40,8 @@ def occlude(
     border: str,
     margin: int = 0,
     change: bool = False,
+    weights: Array | None = None,
+    bends: Array | None = None,
 ) -> Array:
     """Return composed layers with the covariance over the pupil at some places.
 
@@ -52,6 +57,8 @@ def occlude(
         border: "zero", "edge" or "reflect"; coverage goes on at the edge of a dark world.
         margin: Samples on each side of the layers that are not in the result.
         change: Whether to return the change from the base.
+        weights: Weight of each term of the rays' displacements at each place [1], shape (T, E); None: there are none.
+        bends: Displacement (rows, cols) of each term at each point [sample], shape (T, M, 2).
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -63,38 +70,60 @@ def occlude(
     channels, rows, cols = base.shape
     sheets, count = members.shape
     base, lights, alphas = device.array(base), device.array(lights), device.array(alphas)
-    defines = {"BORDER": BORDERS[border], "SHEETS": max(sheets, 1)}
+    terms = 0 if weights is None else weights.shape[0]
+    if not terms:
+        weights, bends = np.zeros((1, 1), np.float32), np.zeros((1, 1, 2), np.float32)
+    defines = {"BORDER": BORDERS[border], "SHEETS": max(sheets, 1), "BENDS": terms}
     launch = functools.partial(device.launch, "optics.occlude", defines=defines)
     out = device.empty((channels, rows, cols))
     launch("begin", out.shape, base, out, int(change), *out.shape)
     if count:
         chosen = [device.array(places, np.int32), device.array(members, np.int32)]
-        arrays = [base, lights, alphas, *chosen, device.array(radii), device.array(points), out]
+        of_rays = [device.array(one) for one in (radii, points, weights, bends)]
+        arrays = [base, lights, alphas, *chosen, *of_rays, out]
         sizes = [margin, int(change), points.shape[0], count, rows, cols, *lights.shape[1:]]
         launch("occlude", (channels, count), *arrays, *sizes)
     return out
 
 
 def operations(
-    base, lights, alphas, places, members, radii, points, border, margin=0, change=False
+    base,
+    lights,
+    alphas,
+    places,
+    members,
+    radii,
+    points,
+    border,
+    margin=0,
+    change=False,
+    weights=None,
+    bends=None,
 ) -> float:
-    """Return the multiplications and additions: 12 for each point of each layer at each place, in each channel."""
-    return 12.0 * base.shape[0] * members.shape[0] * members.shape[1] * points.shape[0]
+    """Return the multiplications and additions.
+
+    For each point at each place in each channel: 12 for each layer, 4 for each term of displacements.
+    """
+    terms = 0 if weights is None else weights.shape[0]
+    each = 12.0 * members.shape[0] + 4 * terms
+    return each * base.shape[0] * members.shape[1] * points.shape[0]
 
 
 def cases():
-    """Yield cases: one place, several layers, gaps among members, every border, a margin, both sides of the focus."""
+    """Yield cases: one place, several layers, gaps among members, every border, a margin, aberrations, both signs."""
     random = np.random.default_rng(35)
     why = (
         "the places of the samples are rounded alike; each of M shares, products and sums of positive terms rounds by "
         "half an ulp, and the two sums are below the brightest light of the layers"
     )
-    for layers, channels, rows, cols, places, points, border, margin in (
-        (2, 1, 1, 1, 1, 1, "edge", 0),
-        (2, 3, 33, 41, 60, 40, "edge", 0),
-        (3, 4, 20, 65, 130, 64, "zero", 0),
-        (5, 2, 12, 9, 40, 33, "reflect", 3),
-        (2, 3, 8, 8, 0, 5, "edge", 0),
+    for layers, channels, rows, cols, places, points, border, margin, terms in (
+        (2, 1, 1, 1, 1, 1, "edge", 0, 0),
+        (2, 3, 33, 41, 60, 40, "edge", 0, 0),
+        (3, 4, 20, 65, 130, 64, "zero", 0, 0),
+        (5, 2, 12, 9, 40, 33, "reflect", 3, 0),
+        (2, 3, 8, 8, 0, 5, "edge", 0, 0),
+        (2, 3, 33, 41, 60, 40, "edge", 0, 1),
+        (3, 2, 20, 65, 130, 64, "zero", 2, 7),
     ):
         shape = rows + 2 * margin, cols + 2 * margin
         alphas = np.rint(1.5 * random.random((layers, *shape))).clip(0, 1)
@@ -108,9 +137,17 @@ def cases():
         angle = 2 * np.pi * random.random(points)
         shares = random.uniform(0.5, 1, points)
         disc = [radius * np.sin(angle), radius * np.cos(angle), shares / shares.sum()]
+        aberrations = {}
+        if terms:
+            aberrations = {
+                "weights": random.standard_normal((terms, places)).astype(np.float32),
+                "bends": random.standard_normal((terms, points, 2)).astype(np.float32),
+            }
         yield Case(
-            f"{rows}x{cols}, {layers} layers, {places} places, {points} points, {border}, margin {margin}",
+            f"{rows}x{cols}, {layers} layers, {places} places, {points} points, {border}, margin {margin}, "
+            f"{terms} aberrations",
             {
+                **aberrations,
                 "base": random.random((channels, rows, cols), np.float32),
                 "lights": lights.astype(np.float32),
                 "alphas": alphas.astype(np.float32),

@@ -8,11 +8,26 @@ import numpy as np
 from gpusim.optics.occlusion import covariance
 
 
-def occlude(base, lights, alphas, places, members, radii, points, border, margin=0, change=False):
+def occlude(
+    base,
+    lights,
+    alphas,
+    places,
+    members,
+    radii,
+    points,
+    border,
+    margin=0,
+    change=False,
+    weights=None,
+    bends=None,
+):
     """Return the stage's result, see `occlude.py`."""
+    if weights is None:
+        weights, bends = (), ()
     out = np.array(base, np.float64)
     y, x = np.asarray(places).T
     at = np.asarray(places) + margin
-    more = covariance(lights, alphas, at, members, radii, points, border)
+    more = covariance(lights, alphas, at, members, radii, points, border, weights, bends)
     out[:, y, x] = np.maximum(out[:, y, x] + more, 0)
     return out - base if change else out

@@ -30,11 +30,12 @@ def begin(
 
 
 @cache
-def specialise(kernel, BORDER=1, SHEETS=1):
+def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0):
     """Return the kernel of this name; constants as in OpenCL."""
     if kernel == "begin":
         return begin
     numbers, integers = (wp.types.vector(length=SHEETS, dtype=kind) for kind in (float, int))
+    terms = wp.types.vector(length=BENDS + 1, dtype=float)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def occlude(
@@ -46,6 +47,8 @@ def specialise(kernel, BORDER=1, SHEETS=1):
         members: wp.array2d[int],
         radii: wp.array2d[float],
         points: wp.array2d[float],
+        weights: wp.array2d[float],
+        bends: wp.array3d[float],
         # out:
         out: wp.array3d[float],
         # params:
@@ -73,15 +76,23 @@ def specialise(kernel, BORDER=1, SHEETS=1):
             layer[s] = wp.max(k, 0)
             there[s] = wp.where(k < 0, 0.0, 1.0)
             radius[s] = radii[s, e]
+        bent = terms()
+        for k in range(wp.static(BENDS)):
+            bent[k] = weights[k, e]
         exact = float(0.0)
         for m in range(points_):
             v = points[m, 0]
             u = points[m, 1]
             share = points[m, 2]
             through = float(1.0)
+            down = float(0.0)
+            across = float(0.0)
+            for k in range(wp.static(BENDS)):
+                down += bent[k] * bends[k, m, 0]
+                across += bent[k] * bends[k, m, 1]
             for s in range(wp.static(SHEETS)):
-                i = y + int(wp.floor(radius[s] * v + 0.5))
-                j = x + int(wp.floor(radius[s] * u + 0.5))
+                i = y + int(wp.floor(radius[s] * v + down + 0.5))
+                j = x + int(wp.floor(radius[s] * u + across + 0.5))
                 to_y = inside(i, high, wp.static(BORDER))
                 to_x = inside(j, wide, wp.static(BORDER))
                 own = there[s] * lights[layer[s], c, to_y, to_x]

@@ -11,14 +11,16 @@ from scipy.ndimage import gaussian_filter
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.interpolation import node_weights
-from gpusim.domain.pupil import LONGEST_WAVEFRONT
+from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil
+from gpusim.domain.spectrum import values_of
 from gpusim.optics.depth import TOLERANCE, DepthPlan, plan_depth, power_and_contrast
 from gpusim.optics.edges import span_of
 from gpusim.optics.field import image_error, natural_difference
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.kernel_space import KernelSpace
-from gpusim.optics.occlusion import SHARP, find_occlusion, hidden_light
+from gpusim.optics.lens import open_lens
+from gpusim.optics.occlusion import SHARP, Bending, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.probes import SIDE, Probes
@@ -236,12 +238,15 @@ def _with_occlusion(question, depth, probes, placed, notes):
     nodes = None
     if placed is not None or not scene.view.is_plain:
         nodes = view_nodes(scene.view, placed, question.size, scene.content.shape, question.ratio)
-    box, sources, places = _around_edges(depth, nodes, question.size)
+    bending = _bending_of(question)
+    bent = bending.reach if bending else 0.0
+    box, sources, places = _around_edges(depth, nodes, question.size, bent)
     sheets = depth.in_brightness(brightness, sources)
     if nodes is not None:
         sheets = [sheet.at(*places, border) for sheet in sheets]
-    found = find_occlusion(sheets, question.optics.pupil, border, least)
     begin = np.array([one.start for one in box], np.int32)
+    settings = question.optics.pupil, border, least
+    found = find_occlusion(sheets, *settings, bending=bending, begin=begin)
     found = replace(found, places=found.places + begin)
     known = probes() if question.tolerance is not None else None
     window, tolerance = _densest(sheets), question.tolerance
@@ -251,11 +256,11 @@ def _with_occlusion(question, depth, probes, placed, notes):
     locate = _Locating(question, light, known, square, picture.size)
     product = _located(question, wrong, light[window], known)
     if tolerance is None or product.ratio(tolerance) > NEGLIGIBLE:
-        sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() <= SHARP]
+        sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() + bent <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
         product = product.times(_left_of(question, sheets, begin))
-    # rays are as on the axis, and of a thin lens
-    is_exact = question.lens.is_uniform and question.lens.is_adjustable
+    # rays know no lateral colour, and nothing of a measured lens
+    is_exact = question.lens.is_adjustable and not np.any(values_of(question.optics.lateral_color))
     left = found.error if is_exact else found.error + found.seen
     bounds = {"depth, light behind the edges of layers": total([product, locate(left)])}
     if len(found.places):
@@ -277,11 +282,21 @@ def _with_occlusion(question, depth, probes, placed, notes):
     return replace(depth, occlusion=found, bounds=bounds)
 
 
-def _around_edges(depth, nodes, size):
+def _bending_of(question):
+    """Return the displacements of rays by the lens's aberrations; None: it has none, or they are not known."""
+    own, lens = question.optics.wavefront, question.lens
+    if not (lens.is_adjustable and (any(own.seidel) or np.any(own.zernike))):
+        return None
+    middle = (np.array(question.size) - 1) / 2 + lens.axis
+    box = (-1, -1), tuple(question.size)
+    return Bending(question.optics, question.pitch, tuple(middle), question.corner, box)
+
+
+def _around_edges(depth, nodes, size, bent=0.0):
     """Return a box of samples with all light that comes from near the edges of layers.
 
     nodes: of the places from which the samples' light comes, as of a DistortionGrid; None: from their own. size: rows
-    and columns of the samples.
+    and columns of the samples. bent: most displacement of rays by aberrations [sample].
 
     Returns:
         The box, a box of its sources, and row, column, both from that on, and flux factor of the source of each sample
@@ -290,7 +305,7 @@ def _around_edges(depth, nodes, size):
     shape = depth.confusion.shape
     box = sources = tuple(slice(0, n) for n in size)
     # filters of this reach see others of this reach
-    reach = 2 * int(np.ceil(depth.reach + 1)) + NEAR_FRAME
+    reach = 2 * int(np.ceil(depth.reach + bent + 1)) + NEAR_FRAME
     is_part = max(shape[0] * shape[1], size[0] * size[1]) > WHOLE
     if nodes is None:
         if is_part:
@@ -339,10 +354,10 @@ def _doubt_of(depth, picture, box):
 def _left_of(question, sheets, begin):
     """Share of the blur of products by diffraction in focus that is left after it was computed.
 
-    All of it if it is not known well: behind aberrations in focus, and at edges so near the frame's
+    All of it if it is not known well: behind aberrations in focus and measured lenses, and at edges so near the frame's
     that light from outside takes part. begin: first row and column of the sheets in the frame.
     """
-    if not question.lens.is_airy:
+    if not open_lens(replace(question.optics, pupil=Pupil()), question.pitch).is_airy:
         return 1.0
     for sheet in sheets[:-1]:
         reach = int(np.ceil(np.abs(sheet.radius).max())) + NEAR_FRAME
