@@ -23,7 +23,6 @@ which O has an edge: the directions of the polygon's sides, and the corners of t
 import os
 from concurrent.futures import ThreadPoolExecutor
 from math import ceil, floor
-from typing import Any
 
 import numpy as np
 import scipy
@@ -31,6 +30,7 @@ import scipy
 from gpusim.backends import Device
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
 from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+from gpusim.optics.creases import find_creases
 from gpusim.optics.rays import polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
@@ -39,8 +39,7 @@ NODES = 256  # of it up to the cut-off along an axis
 LEAST = 64  # of them
 EXACT = 8  # nodes next to f = 0 are not interpolated
 BETWEEN = 1.5e-5  # error of the interpolation
-# of fourth differences, where O begins as x^(3/2): cubics between nodes 1 apart err by 0.084, the differences are 1.28
-ENDING = 0.066
+FINER = 2 * 2**0.5  # at most of the error between every other node: O begins as x^(3/2) in places
 
 
 @stage
@@ -83,92 +82,107 @@ def pupil(
     waves = np.asarray(device.numpy(waves), np.float64)
     q = np.asarray(device.numpy(q), np.float32)
     real = symmetric(outline, waves) and not any(displacement)
-    fold = _folding(device, outline, waves, q, real, aperture, spots, diffuser, displacement)
-    nodes = _even(max(NODES * float(q.max()), LEAST))
-    # a polygon's O has edges
-    is_smooth = not (device.is_gpu or outline.sides.size)
-    while is_smooth and rows * cols >= max(LARGE, 2 * nodes**2):
-        coarse = device.numpy(fold(*_frequencies(nodes, nodes, real)))
-        rest = _cubic_error(coarse, nodes, real)
-        if rest <= BETWEEN:
-            return _interpolate(fold, device, coarse, (rows, cols), real)
-        nodes = _even(nodes * min(2.0, 1.05 * (rest / BETWEEN) ** (2 / 3)))
-    return fold(*_frequencies(rows, cols, real))
+    fold = _Folding(device, outline, waves, q, real, aperture, spots, diffuser, displacement)
+    nodes = 4 * ceil(max(NODES * float(q.max()), LEAST) / 4)
+    while not device.is_gpu and rows * cols >= max(LARGE, 2 * nodes**2):
+        coarse = device.numpy(fold(nodes, nodes))
+        every_other = coarse.reshape(len(q), -1, coarse.shape[2] // fold.width, fold.width)
+        every_other = every_other[:, ::2, ::2].reshape(len(q), -(-coarse.shape[1] // 2), -1)
+        missed = np.abs(_interpolate(fold, every_other, nodes, nodes) - coarse).max() / FINER
+        if missed <= BETWEEN:
+            return device.array(_interpolate(fold, coarse, rows, cols))
+        nodes = 4 * ceil(nodes * min(2.0, 1.05 * (missed / BETWEEN) ** (2 / 3)) / 4)
+    return fold(rows, cols)
 
 
-def _even(number):
-    return 2 * ceil(number / 2)
+class _Folding:
+    """Makes tables of all bands, of the device, at any frequencies."""
 
+    def __init__(self, device, outline, waves, q, real, aperture, spots, diffuser, displacement):
+        self.device, self.real, self.width, self._q = device, real, 1 if real else 2, q
+        cutoff = 1 / float(q.min())
+        self._ends = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
+        self._axes = list(zip(np.broadcast_to(aperture, 2), spots, displacement, strict=True))
+        self._soft, self._creases = diffuser, None
+        if real:
+            table, self._numbers = radial_table(outline, waves), []
+        else:
+            table, angle, sectors = polar_table(outline, waves)
+            sides, inner = outline.cutoff
+            self._numbers = [angle, sides, inner, sectors, (table.shape[1] - 1) // sectors]
+            table = np.stack([table.real, table.imag], axis=-1)
+        self._numbers.append(table.shape[2 - real])
+        self._lines = device.array(table), device.array(q)
+        if outline.sides.size:
+            self._creases = find_creases(outline, waves)
 
-def _frequencies(rows, cols, real):
-    """Frequencies of a quarter or half of a period [cycle/pixel]."""
-    down = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)
-    return down, np.arange(cols // 2 + 1) / cols
+    def frequencies(self, rows, cols):
+        """Return the frequencies of the tables of a period [cycle/pixel]."""
+        down = np.arange(rows // 2 + 1) / rows if self.real else np.fft.fftfreq(rows)
+        return down, np.arange(cols // 2 + 1) / cols
 
+    def __call__(self, rows, cols):
+        """Return tables of a period."""
+        return self.at(*self.frequencies(rows, cols))
 
-def _folding(device, outline, waves, q, real, aperture, spots, diffuser, displacement):
-    """Return the function that makes tables of all bands, of the device, at frequencies (fy, fx)."""
-    cutoff = 1 / float(q.min())
-    low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
-    replicas = np.arange(low, high + 1)[:, None]
-    axes = list(zip(np.broadcast_to(aperture, 2), spots, displacement, strict=True))
-    # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
-    block = min(len(q), BLOCK) if is_opencl_cpu(device) else 1
-    launching: dict[str, Any] = {
-        "defines": {"BANDS": block},
-        "group": (1, 1, 1) if block > 1 else None,
-    }
-    if real:
-        name, table, numbers = "radial", radial_table(outline, waves), []
-    else:
-        name = "polar"
-        table, angle, sectors = polar_table(outline, waves)
-        sides, inner = outline.cutoff
-        numbers = [angle, sides, inner, sectors, (table.shape[1] - 1) // sectors]
-        table = np.stack([table.real, table.imag], axis=-1)
-    numbers.append(table.shape[2 - real])
-    lines = device.array(table), device.array(q)
-
-    def fold(fy, fx):
-        weights = []
-        for f, (width, spot, move) in zip((replicas + fy, replicas + fx), axes, strict=True):
-            spread = np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
-            one = np.sinc(width * f) * np.cos(np.pi * spot * f) * spread
-            weights.append(one.real if real else np.stack([one.real, one.imag], axis=-1))
-        shape = len(q), fy.size, fx.size
-        tables = device.empty((*shape[:2], shape[2] * (1 if real else 2)))
-        arrays = [*lines, *map(device.array, (*weights, fy, fx)), tables]
-        grid = -(-shape[0] // block), fy.size, fx.size
-        device.launch("optics.pupil", name, grid, *arrays, low, high, *numbers, *shape, **launching)
+    def at(self, fy, fx):
+        """Return tables at frequencies."""
+        device, bands = self.device, len(self._q)
+        # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
+        block = min(bands, BLOCK) if is_opencl_cpu(device) else 1
+        tables = device.empty((bands, fy.size, self.width * fx.size))
+        arrays = [*self._lines, *self._weights(fy, fx), tables]
+        sizes = [*self._ends, *self._numbers, bands, fy.size, fx.size]
+        device.launch(
+            "optics.pupil",
+            "radial" if self.real else "polar",
+            (-(-bands // block), fy.size, fx.size),
+            *arrays,
+            *sizes,
+            defines={"BANDS": block},
+            group=(1, 1, 1) if block > 1 else None,
+        )
         return tables
 
-    return fold
+    def _weights(self, fy, fx):
+        """Weights of replicas along both axes, and the frequencies, of the device."""
+        replicas, weights = np.arange(self._ends[0], self._ends[1] + 1)[:, None], []
+        for f, (width, spot, move) in zip((replicas + fy, replicas + fx), self._axes, strict=True):
+            spread = np.exp(-2 * (np.pi * self._soft * f) ** 2 + 2j * np.pi * move * f)
+            one = np.sinc(width * f) * np.cos(np.pi * spot * f) * spread
+            weights.append(one.real if self.real else np.stack([one.real, one.imag], axis=-1))
+        return list(map(self.device.array, (*weights, fy, fx)))
+
+    def sharpen(self, tables, nodes, rows, cols):
+        """Add what cubics between the nodes of a shorter period miss next to creases."""
+        if self._creases is None:
+            return
+        device, found = self.device, self._creases
+        sizes = np.stack([found.sizes.real, found.sizes.imag], axis=-1)
+        fy, fx = self.frequencies(rows, cols)
+        device.launch(
+            "optics.pupil",
+            "crease",
+            (len(self._q), len(fy)),
+            *map(device.array, (found.lines, sizes, self._q)),
+            *self._weights(fy, fx),
+            tables,
+            *(*self._ends, found.reach, nodes, cols),
+            *(*sizes.shape[1:3], len(self._q), len(fy), len(fx)),
+            defines={"BANDS": 1},
+        )
 
 
-def _cubic_error(coarse, nodes, real):
-    """Return the largest error of cubics between the nodes of a period, where they are used."""
-    fy, fx = _frequencies(nodes, nodes, real)
-    left = (np.abs(fy) < EXACT / nodes)[:, None] & (fx < EXACT / nodes)
-    values = coarse if real else coarse.view(np.complex64)
-    rest = 0.0
-    for axis in (1, 2):
-        order = np.argsort(fy) if axis == 1 else slice(None)
-        fourth = np.abs(np.diff(values[:, order], 4, axis=axis)).max(axis=0)
-        middle = (slice(2, -2), slice(None))[:: 1 if axis == 1 else -1]
-        rest = max(rest, fourth[~left[order][middle]].max(initial=0))
-    return ENDING * float(rest)
-
-
-def _interpolate(fold, device, coarse, period, real):
-    """Return tables of a period by cubics between the nodes of a shorter one.
+def _interpolate(fold, coarse, rows, cols):
+    """Return tables of a period by cubics between tables of a shorter one.
 
     Near f = 0, where O has a cusp, the tables are exact.
     """
-    fy, fx = _frequencies(*period, real)
+    device, real = fold.device, fold.real
+    fy, fx = fold.frequencies(rows, cols)
     nodes = 2 * (coarse.shape[1] - 1) if real else coarse.shape[1]
     down, across = _cubics(fy, nodes, real), _cubics(fx, nodes, True)
-    width = 1 if real else 2
-    out = device.empty((len(coarse), len(fy), width * len(fx)))
+    out = device.empty((len(coarse), len(fy), fold.width * len(fx)))
     tables = device.numpy(out)
 
     def make(band):
@@ -186,10 +200,12 @@ def _interpolate(fold, device, coarse, period, real):
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(coarse))))
+    fold.sharpen(out, nodes, rows, cols)
     near = [np.flatnonzero(np.abs(f) < EXACT / nodes) for f in (fy, fx)]
-    exact = device.numpy(fold(fy[near[0]], fx[near[1]]))
+    exact = device.numpy(fold.at(fy[near[0]], fx[near[1]]))
+    tables = device.numpy(out)
     tables[:, near[0], : exact.shape[2]] = exact
-    return out
+    return tables
 
 
 def _cubics(f, nodes, is_open):
