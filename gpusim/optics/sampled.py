@@ -420,11 +420,14 @@ def _wrap(kernel, rows, cols):
     """Half spectrum of a kernel that a period repeats, its middle at sample 0."""
     at = np.arange(len(kernel)) - len(kernel) // 2
     y, x = at[:, None] % rows, at % cols
-    wide = np.zeros((rows, cols), np.float32)
     if len(at) <= min(rows, cols):
-        wide[y, x] = kernel
-    else:
-        np.add.at(wide, (y, x), kernel)
+        lines = np.zeros((len(at), cols), np.float32)
+        lines[:, x] = kernel
+        spectra = np.zeros((rows, cols // 2 + 1), np.complex64)
+        spectra[y[:, 0]] = scipy.fft.rfft(lines, axis=1)  # the other rows are 0
+        return scipy.fft.fft(spectra, axis=0, overwrite_x=True)
+    wide = np.zeros((rows, cols), np.float32)
+    np.add.at(wide, (y, x), kernel)
     return scipy.fft.rfft2(wide)
 
 
