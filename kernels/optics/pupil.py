@@ -38,7 +38,7 @@ LARGE = 2**18  # frequencies from which on a CPU interpolates tables of a shorte
 NODES = 256  # of it up to the cut-off along an axis
 LEAST = 64  # of them
 EXACT = 8  # nodes next to f = 0 are not interpolated
-BETWEEN = 1.5e-5  # error of the interpolation
+BETWEEN, BLADED = 1.5e-5, 2e-5  # error of the interpolation; behind blades, whose nodes err by more
 FINER = 2 * 2**0.5  # at most of the error between every other node: O begins as x^(3/2) in places
 
 
@@ -84,14 +84,15 @@ def pupil(
     real = symmetric(outline, waves) and not any(displacement)
     fold = _Folding(device, outline, waves, q, real, aperture, spots, diffuser, displacement)
     nodes = 4 * ceil(max(NODES * float(q.max()), LEAST) / 4)
+    error = BLADED if outline.sides.size else BETWEEN
     while not device.is_gpu and rows * cols >= max(LARGE, 2 * nodes**2):
         coarse = device.numpy(fold(nodes, nodes))
         every_other = coarse.reshape(len(q), -1, coarse.shape[2] // fold.width, fold.width)
         every_other = every_other[:, ::2, ::2].reshape(len(q), -(-coarse.shape[1] // 2), -1)
         missed = np.abs(_interpolate(fold, every_other, nodes, nodes) - coarse).max() / FINER
-        if missed <= BETWEEN:
+        if missed <= error:
             return device.array(_interpolate(fold, coarse, rows, cols))
-        nodes = 4 * ceil(nodes * min(2.0, 1.05 * (missed / BETWEEN) ** (2 / 3)) / 4)
+        nodes = 4 * ceil(nodes * min(2.0, 1.05 * (missed / error) ** (2 / 3)) / 4)
     return fold(rows, cols)
 
 
