@@ -29,7 +29,7 @@ MORE = 1.12  # times as many, as they are not all
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
 # points of integrals, one second of two cores: beyond it pupils are sampled (gpusim.optics.sampled)
 AFFORDABLE = 3e7
-POLYGON_ERROR = 3e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
+POLYGON_ERROR = 2.4e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
 
 
 def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:

@@ -87,8 +87,8 @@ def pupil(
     error = BLADED if outline.sides.size else BETWEEN
     while not device.is_gpu and rows * cols >= max(LARGE, 2 * nodes**2):
         coarse = device.numpy(fold(nodes, nodes))
-        every_other = coarse.reshape(len(q), -1, coarse.shape[2] // fold.width, fold.width)
-        every_other = every_other[:, ::2, ::2].reshape(len(q), -(-coarse.shape[1] // 2), -1)
+        pairs = coarse.reshape(len(q), -1, coarse.shape[2] // fold.width, fold.width)
+        every_other = pairs[:, ::2, ::2].reshape(len(q), -(-coarse.shape[1] // 2), -1)
         missed = np.abs(_interpolate(fold, every_other, nodes, nodes) - coarse).max() / FINER
         if missed <= error:
             return device.array(_interpolate(fold, coarse, rows, cols))
