@@ -24,10 +24,12 @@ from gpusim.optics.series import (
     scales,
 )
 
+SOME_RAYS, SOME_NODES = 6, 50  # at which one wavefront finds how many it takes, and
+MORE = 1.12  # times as many, as they are not all
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
 # points of integrals, one second of two cores: beyond it pupils are sampled (gpusim.optics.sampled)
 AFFORDABLE = 3e7
-POLYGON_ERROR = 3e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
+POLYGON_ERROR = 2.4e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
 
 
 def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
@@ -113,34 +115,54 @@ def _rays(outline, values, shape, range_, error):
     length = 192 + ceil(48 * range_)
     first = float(outline.sides[0]) if sides else 0.0
     series = None if sides else expansion(outline, scaled)
-    strongest = np.argmax((scaled**2).sum(axis=(1, 2)))
-    # one wavefront finds how many nodes it takes, all of them are held against it
-    for wanted in ([strongest], slice(None))[len(scaled) == 1 :]:
-        while True:
-            require_memory("transfer tables", 32 * len(scaled) * sectors * per_sector * length)
-            turn = np.linspace(0, np.pi, sectors * per_sector + 1)
-            s = 1 - np.linspace(1, 0, length) ** 2
-            if series:
-                table = series(s, turn[:-1], wanted)
-            else:
-                table = _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector)
-            table[:, :, 0] = 1
-            table = np.concatenate([table, table[:, :1].conj()], axis=1)
-            along = cubic_error(table)
-            across = 0.0
-            turned = np.moveaxis(table, 1, -1)
-            for k in range(0, sectors * per_sector, per_sector):
-                across = max(across, cubic_error(turned[..., k : k + per_sector + 1]))
-            if max(along, across) <= error:
-                break
-            order = 2.5 if sides else 4
-            length = _finer(length, along, error, order)
-            per_sector = _finer(per_sector, across, error, order)
+    strongest = [np.argmax((scaled**2).sum(axis=(1, 2)))]
+    order = 2.5 if sides else 4
+
+    def values(wanted, rays, nodes):
+        """O of the wanted wavefronts at some rays and nodes."""
+        require_memory("transfer tables", 32 * len(scaled) * sectors * per_sector * length)
+        turn = np.linspace(0, np.pi, sectors * per_sector + 1)
+        s = (1 - np.linspace(1, 0, length) ** 2)[nodes]
+        if series:
+            return series(s, turn[:-1][rays], wanted)
+        return _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector, rays)
+
+    # one wavefront finds at some rays and at some nodes how many it takes; all are held against the error everywhere
+    while True:
+        some = np.arange(0, per_sector * min(sectors, 3), -(-3 * per_sector // SOME_RAYS))
+        along = cubic_error(values(strongest, some, slice(None)))
+        if along <= error:
+            break
+        length = _finer(length, along, error, order)
+    while True:
+        few = np.unique(np.linspace(0, length - 1, SOME_NODES).astype(int))
+        across = _error_across(values(strongest, slice(None), few), sectors, per_sector)
+        if across <= error:
+            break
+        per_sector = ceil(MORE * _finer(per_sector, across, error, order))
+    while True:
+        table = values(slice(None), slice(None), slice(None))
+        table[:, :, 0] = 1
+        along, across = cubic_error(table), _error_across(table, sectors, per_sector)
+        if max(along, across) <= error:
+            break
+        length = _finer(length, along, error, order)
+        per_sector = _finer(per_sector, across, error, order)
+    table = np.concatenate([table, table[:, :1].conj()], axis=1)
     return table, first, sectors
 
 
-def _polygon_rays(outline, waves, s, first, turn, per_sector):
-    """O of a polygon at `s` of each ray's cut-off, (bands, rays, n)."""
+def _error_across(table, sectors, per_sector):
+    """Largest error of cubics across the rays (bands, rays, n) of each sector, both ends included."""
+    turned = np.moveaxis(np.concatenate([table, table[:, :1].conj()], axis=1), 1, -1)
+    return max(
+        cubic_error(turned[..., k : k + per_sector + 1])
+        for k in range(0, sectors * per_sector, per_sector)
+    )
+
+
+def _polygon_rays(outline, waves, s, first, turn, per_sector, wanted):
+    """O of a polygon at `s` of each ray's cut-off, (bands, rays, n), of the rays that are wanted."""
     sides, inner = outline.cutoff
     step = 2 * np.pi / sides
     ends = inner / np.cos(turn - step * np.rint(turn / step))
@@ -148,7 +170,7 @@ def _polygon_rays(outline, waves, s, first, turn, per_sector):
     # the polygon's mirror lines are two sectors apart: one part makes all
     if symmetric(Pupil(), waves):
         rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
-    own = np.arange(rays.max() + 1)
+    own, rays = np.unique(rays[wanted], return_inverse=True)
     require_points(outline, waves, len(own) * len(s))
     radius, angle = (ends[:, None] * s)[own], first + turn[own, None]
     sx, sy = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()

@@ -255,28 +255,35 @@ def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
         soft: Standard deviation of a diffuser [pixel].
         shift: Displacement of the image [pixel].
     """
-    pixels = np.arange(size) - size // 2.0 - shift
+    if not shift:  # pixels are mirror images
+        right = _shares_from_middle(np.arange(size // 2 + 1.0), half, q, aperture, spot, soft)
+        return np.concatenate([right[:0:-1, ::-1], right])
+    return _shares_from_middle(np.arange(size) - size // 2.0 - shift, half, q, aperture, spot, soft)
+
+
+def _shares_from_middle(pixels, half, q, aperture, spot, soft):
+    """Shares of samples in pixels at these places, float32 (pixels, samples)."""
     farthest = int(np.ceil(np.abs(pixels).max()))
     f, by_cos, by_sin = _passed_waves(half, q, aperture, spot, soft, farthest)
     to = 2 * np.pi * np.outer(pixels, f)
-    shares = multiply(np.cos(to).astype(np.float32), by_cos)
-    return shares + multiply(np.sin(to).astype(np.float32), by_sin)
+    even = multiply(np.cos(to).astype(np.float32), by_cos)
+    odd = multiply(np.sin(to).astype(np.float32), by_sin)
+    return np.concatenate([(even - odd)[:, :0:-1], even + odd], axis=1)
 
 
 @remember(2**25)
 def _passed_waves(half, q, aperture, spot, soft, farthest):
-    """Frequencies (F,), and their cosines and sines at the samples times the pixel's transfer, float32 (F, samples)."""
-    samples = np.arange(-half, half + 1) * (2 * q * STEP)
-    x, gauss = _gauss(int(np.ceil(1.7 * (abs(samples[0]) + farthest) / q)) + 16)
+    """Frequencies (F,), and their cosines and sines times the pixel's transfer, float32 (F, half + 1).
+
+    They are at the samples from the middle on: cosines are even, sines odd.
+    """
+    samples = np.arange(half + 1) * (2 * q * STEP)
+    count = 1.7 * (samples[-1] + farthest) / q + 16
+    x, gauss = _gauss(64 * int(np.ceil(count / 64)))  # bands share nodes
     f, gauss = (x + 1) / (2 * q), gauss / (2 * q)
     passed = (2 * gauss * _axis_transfer(f, aperture, spot, soft))[:, None]
-    # of samples from the middle on: cosines are even, sines odd
-    of = 2 * np.pi * np.outer(f, samples[half:])
-    by_cos, by_sin = np.empty((2, len(f), len(samples)), np.float32)
-    for found, turn, sign in ((by_cos, np.cos, 1), (by_sin, np.sin, -1)):
-        found[:, half:] = turn(of) * passed
-        np.multiply(found[:, :half:-1], np.float32(sign), out=found[:, :half])
-    return f, by_cos, by_sin
+    of = 2 * np.pi * np.outer(f, samples)
+    return f, *((turn(of) * passed).astype(np.float32) for turn in (np.cos, np.sin))
 
 
 def _axis_transfer(f, aperture, spot, soft):
@@ -383,13 +390,14 @@ def difference_tables(
         shift: Displacement of the image, (rows, cols) [pixel].
     """
     half, _ = window(pupil, waves)
-    size = 2 * int(np.ceil(2 * max(q) * STEP * half + MARGIN)) + 1
+    sizes = [2 * int(np.ceil(2 * one * STEP * half + MARGIN)) + 1 for one in q]
     focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
     out = np.empty((len(waves), rows, cols // 2 + 1), np.complex64)
 
     def make(band):
         left = _difference(pupil, waves[band], half, focus, fading)
         first, second = _axes(q[band], shift, aperture, spots, soft)
+        size = sizes[band]
         if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
             down = _fold(np.fft.fftfreq(rows), half, *first)
             across = _fold(np.arange(cols // 2 + 1) / cols, half, *second)
@@ -420,11 +428,14 @@ def _wrap(kernel, rows, cols):
     """Half spectrum of a kernel that a period repeats, its middle at sample 0."""
     at = np.arange(len(kernel)) - len(kernel) // 2
     y, x = at[:, None] % rows, at % cols
-    wide = np.zeros((rows, cols), np.float32)
     if len(at) <= min(rows, cols):
-        wide[y, x] = kernel
-    else:
-        np.add.at(wide, (y, x), kernel)
+        lines = np.zeros((len(at), cols), np.float32)
+        lines[:, x] = kernel
+        spectra = np.zeros((rows, cols // 2 + 1), np.complex64)
+        spectra[y[:, 0]] = scipy.fft.rfft(lines, axis=1)  # the other rows are 0
+        return scipy.fft.fft(spectra, axis=0, overwrite_x=True)
+    wide = np.zeros((rows, cols), np.float32)
+    np.add.at(wide, (y, x), kernel)
     return scipy.fft.rfft2(wide)
 
 

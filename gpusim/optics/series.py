@@ -27,6 +27,7 @@ from gpusim.optics.otf import (
 )
 
 ANGLES, RADII = 5, 7  # at which the lengths of series are sought before they are made
+LAST = 3  # terms in radius that are below the error
 CHUNK = 4096  # radii whose polynomials are in memory at a time
 UNRESOLVED = 5e-7  # last coefficients of an interpolation: three of them, twice, are a fifth of the tables' 1e-5
 
@@ -77,16 +78,26 @@ def expansion(pupil: Pupil, waves, error=UNRESOLVED) -> Expansion:
         Budget(len(waves)).need(count * (len(edges) - 1) * rays / repeats * nodes)
 
     if rays > 1:  # first along few rays and around few circles
-        while _series(pupil, strongest, edges, count, ANGLES, error)[1] >= error:
+        while (found := _series(pupil, strongest, edges, count, ANGLES, error))[1] >= error:
             count += 1 + count // 4
-        while _series(pupil, strongest, edges, RADII, rays, error)[2] >= error:
+        # no more terms than these need
+        sizes = np.abs(found[0]).sum(axis=1).max(axis=(0, 1))
+        count = min(count, LAST + _used(sizes, error / 2))
+        while (found := _series(pupil, strongest, edges, RADII, rays, error))[2] >= error:
             rays += 1 + rays // 4
+        sizes = np.abs(found[0]).sum(axis=3).max(axis=(0, 2))[: found[0].shape[1] // 2]
+        rays = min(rays, _turns(strongest) + _used(sizes, error / 2))
     while True:
         around, radial_rest, angular_rest = _series(pupil, waves, edges, count, rays, error)
         if max(radial_rest, angular_rest) < error:
             return Expansion(edges, around)
         count += 1 + count // 4 if radial_rest >= error else 0
         rays += 1 + rays // 4 if angular_rest >= error else 0
+
+
+def _used(sizes, error):
+    """Number of terms up to the last one that is not below the error."""
+    return 1 + int(np.flatnonzero(sizes >= error).max(initial=0))
 
 
 def points_of_series(pupil: Pupil, waves) -> float:
@@ -176,7 +187,7 @@ def _series(pupil, waves, edges, count, rays, error):
     along = np.linalg.inv(chebvander(2 * u - 1, count - 1)).T
     last = slice(max(rays - fold, 0), rays + fold + 1)  # only every `fold`-th order is there
     angular_rest = np.abs(around[:, last]).max() if rays > 1 else 0.0
-    return around @ along, np.abs(found @ along[:, -3:]).max(), angular_rest
+    return around @ along, np.abs(found @ along[:, -LAST:]).max(), angular_rest
 
 
 def _integrals(pupil, waves, sx, sy, fast):

@@ -107,3 +107,72 @@ __kernel void polar(
         }
     for (int n = 0; n < count; ++n) tables[((size_t)(first + n) * rows + y) * cols + x] = sums[n];
 }
+
+// Adds what cubics between `nodes` frequencies of a period miss at the creases of a polygon's O; a row per work-item.
+__kernel void crease(
+    // in:
+    __global const float *restrict lines,      // [creases][4], see gpusim.optics.creases
+    __global const float2 *restrict sizes,     // [bands][creases][places]
+    __global const float *restrict q,
+    __global const float2 *restrict weight_y,  // [replicas][rows]
+    __global const float2 *restrict weight_x,  // [replicas][cols]
+    __global const float *restrict fy, __global const float *restrict fx,
+    // out:
+    __global float2 *restrict tables,          // [bands][rows][cols]
+    // params:
+    const int low, const int high, const float reach, const int nodes, const int period,
+    // sizes:
+    const int creases, const int places, const int bands, const int rows, const int cols)
+{
+    const int y = get_global_id(0), band = get_global_id(1);
+    GUARD(y >= rows || band >= bands)
+    const float at_y = fy[y] * nodes, ty = at_y - floor(at_y), scale = (places - 1) / (2.0f * reach);
+    const float4 cy = cubic(ty);
+    for (int k = 0; k < creases; ++k) {
+        const float ny = lines[4 * k], nx = lines[4 * k + 1], offset = lines[4 * k + 2] / q[band];
+        const float sign = lines[4 * k + 3] * q[band], step = 1.0f / nodes;
+        const float wide = 2.0f * (fabs(ny) + fabs(nx)) * step, end = reach / q[band] + wide;
+        __global const float2 *size = sizes + ((size_t)band * creases + k) * places;
+        for (int a = low; a <= high; ++a) {
+            const float v = fy[y] + a, rest = ny * v - offset;
+            float first = low - 1.0f, last = high + 1.0f;  // of u: near the line, and not beyond its ends
+            if (fabs(nx) > 1e-6f) {
+                const float middle = -rest / nx, more = wide / fabs(nx);
+                first = fmax(first, middle - more);
+                last = fmin(last, middle + more);
+            } else if (fabs(rest) >= wide) continue;
+            if (fabs(ny) > 1e-6f) {
+                const float middle = nx * v / ny, more = end / fabs(ny);
+                first = fmax(first, middle - more);
+                last = fmin(last, middle + more);
+            } else if (fabs(nx * v) >= end) continue;
+            const float2 wy = weight_y[(a - low) * rows + y];
+            for (int b = low; b <= high; ++b) {
+                const int from = max((int)ceil((first - b) * period), 0);
+                const int to = min((int)floor((last - b) * period), cols - 1);
+                for (int x = from; x <= to; ++x) {
+                    const float u = fx[x] + b, place = ((nx * v - ny * u) * q[band] + reach) * scale;
+                    if (place <= 0.0f || place >= places - 1) continue;
+                    const int i = min((int)place, places - 2);
+                    const float2 slope = size[i + 1] - size[i], here = size[i] + (place - i) * slope;
+                    const float at_x = fx[x] * nodes, tx = at_x - floor(at_x), away = rest + nx * u;
+                    const float4 cx = cubic(tx);
+                    // |away|, and that times the place, less cubics through them
+                    float none = fabs(away), once = 0.0f;
+                    for (int m = -1; m <= 2; ++m) {
+                        const float dy = (m - ty) * step, c = m < 0 ? cy.x : m < 1 ? cy.y : m < 2 ? cy.z : cy.w;
+                        const float4 dx = ((float4)(-1.0f, 0.0f, 1.0f, 2.0f) - tx) * step;
+                        const float4 taps = c * cx * fabs(away + ny * dy + nx * dx);
+                        none -= taps.x + taps.y + taps.z + taps.w;
+                        once -= dot(taps, nx * dy - ny * dx);
+                    }
+                    const float2 value = sign * (none * here + once * q[band] * scale * slope);
+                    const float2 wx = weight_x[(b - low) * cols + x];
+                    const float2 weight = (float2)(wy.x * wx.x - wy.y * wx.y, wy.x * wx.y + wy.y * wx.x);
+                    tables[((size_t)band * rows + y) * cols + x] +=
+                        (float2)(weight.x * value.x - weight.y * value.y, weight.x * value.y + weight.y * value.x);
+                }
+            }
+        }
+    }
+}

@@ -23,7 +23,6 @@ which O has an edge: the directions of the polygon's sides, and the corners of t
 import os
 from concurrent.futures import ThreadPoolExecutor
 from math import ceil, floor
-from typing import Any
 
 import numpy as np
 import scipy
@@ -31,13 +30,16 @@ import scipy
 from gpusim.backends import Device
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, symmetric
 from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+from gpusim.optics.creases import find_creases
 from gpusim.optics.rays import polar_table, radial_table
 
 BLOCK = 32  # bands of a CPU's work-item
-AT_ONCE = 8  # bands
-LARGE = 2**20  # frequencies from which on a CPU interpolates O between even ones
-NODES = 256  # of these to a cycle per pixel
-EXACT = 8  # of these next to f = 0 are not interpolated
+LARGE = 2**18  # frequencies from which on a CPU interpolates tables of a shorter period
+NODES = 256  # of it up to the cut-off along an axis
+LEAST = 64  # of them
+EXACT = 8  # nodes next to f = 0 are not interpolated
+BETWEEN, BLADED = 1.5e-5, 2e-5  # error of the interpolation; behind blades, whose nodes err by more
+FINER = 2 * 2**0.5  # at most of the error between every other node: O begins as x^(3/2) in places
 
 
 @stage
@@ -79,97 +81,139 @@ def pupil(
     """
     waves = np.asarray(device.numpy(waves), np.float64)
     q = np.asarray(device.numpy(q), np.float32)
-    cutoff = 1 / float(q.min())
     real = symmetric(outline, waves) and not any(displacement)
-    fy = np.arange(rows // 2 + 1) / rows if real else np.fft.fftfreq(rows)
-    fx = np.arange(cols // 2 + 1) / cols
-    low, high = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
-    replicas = np.arange(low, high + 1)[:, None]
-    weights = []
-    for f, width, spot, move in zip(
-        (replicas + fy, replicas + fx),
-        np.broadcast_to(aperture, 2),
-        spots,
-        displacement,
-        strict=True,
-    ):
-        spread = np.exp(-2 * (np.pi * diffuser * f) ** 2 + 2j * np.pi * move * f)
-        one = np.sinc(width * f) * np.cos(np.pi * spot * f) * spread
-        weights.append(one.real if real else np.stack([one.real, one.imag], axis=-1))
-    common = (device.array(q), *map(device.array, weights), device.array(fy), device.array(fx))
-    # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
-    block = min(len(q), BLOCK) if is_opencl_cpu(device) else 1
-    grid = (-(-len(q) // block), fy.size, fx.size)
-    launching: dict[str, Any] = {
-        "defines": {"BANDS": block},
-        "group": (1, 1, 1) if block > 1 else None,
-    }
-    if real:
-        table = device.array(radial_table(outline, waves))
-        tables = device.empty((len(q), fy.size, fx.size))
-        arrays = [table, *common, tables]
-        sizes = [low, high, table.shape[1], *tables.shape]
-        device.launch("optics.pupil", "radial", grid, *arrays, *sizes, **launching)
+    fold = _Folding(device, outline, waves, q, real, aperture, spots, diffuser, displacement)
+    nodes = 4 * ceil(max(NODES * float(q.max()), LEAST) / 4)
+    error = BLADED if outline.sides.size else BETWEEN
+    while not device.is_gpu and rows * cols >= max(LARGE, 2 * nodes**2):
+        coarse = device.numpy(fold(nodes, nodes))
+        pairs = coarse.reshape(len(q), -1, coarse.shape[2] // fold.width, fold.width)
+        every_other = pairs[:, ::2, ::2].reshape(len(q), -(-coarse.shape[1] // 2), -1)
+        missed = np.abs(_interpolate(fold, every_other, nodes, nodes) - coarse).max() / FINER
+        if missed <= error:
+            return device.array(_interpolate(fold, coarse, rows, cols))
+        nodes = 4 * ceil(nodes * min(2.0, 1.05 * (missed / error) ** (2 / 3)) / 4)
+    return fold(rows, cols)
+
+
+class _Folding:
+    """Makes tables of all bands, of the device, at any frequencies."""
+
+    def __init__(self, device, outline, waves, q, real, aperture, spots, diffuser, displacement):
+        self.device, self.real, self.width, self._q = device, real, 1 if real else 2, q
+        cutoff = 1 / float(q.min())
+        self._ends = -floor(cutoff + 0.5), floor(cutoff + (0 if real else 0.5))
+        self._axes = list(zip(np.broadcast_to(aperture, 2), spots, displacement, strict=True))
+        self._soft, self._creases = diffuser, None
+        if real:
+            table, self._numbers = radial_table(outline, waves), []
+        else:
+            table, angle, sectors = polar_table(outline, waves)
+            sides, inner = outline.cutoff
+            self._numbers = [angle, sides, inner, sectors, (table.shape[1] - 1) // sectors]
+            table = np.stack([table.real, table.imag], axis=-1)
+        self._numbers.append(table.shape[2 - real])
+        self._lines = device.array(table), device.array(q)
+        if outline.sides.size:
+            self._creases = find_creases(outline, waves)
+
+    def frequencies(self, rows, cols):
+        """Return the frequencies of the tables of a period [cycle/pixel]."""
+        down = np.arange(rows // 2 + 1) / rows if self.real else np.fft.fftfreq(rows)
+        return down, np.arange(cols // 2 + 1) / cols
+
+    def __call__(self, rows, cols):
+        """Return tables of a period."""
+        return self.at(*self.frequencies(rows, cols))
+
+    def at(self, fy, fx):
+        """Return tables at frequencies."""
+        device, bands = self.device, len(self._q)
+        # on a CPU a work-item makes one frequency of many bands: they share its direction and replicas
+        block = min(bands, BLOCK) if is_opencl_cpu(device) else 1
+        tables = device.empty((bands, fy.size, self.width * fx.size))
+        arrays = [*self._lines, *self._weights(fy, fx), tables]
+        sizes = [*self._ends, *self._numbers, bands, fy.size, fx.size]
+        device.launch(
+            "optics.pupil",
+            "radial" if self.real else "polar",
+            (-(-bands // block), fy.size, fx.size),
+            *arrays,
+            *sizes,
+            defines={"BANDS": block},
+            group=(1, 1, 1) if block > 1 else None,
+        )
         return tables
-    table, angle, sectors = polar_table(outline, waves)
-    sides, inner = outline.cutoff
-    whole = np.stack([table.real, table.imag], axis=-1)
-    table = device.array(whole)
-    numbers = [angle, sides, inner, sectors, (table.shape[1] - 1) // sectors, table.shape[2]]
 
-    def fold(weights, fy, fx, low, high, bands=slice(None)):
-        """Tables of bands at the frequencies fy, fx from the replicas low .. high."""
-        shape = len(q[bands]), fy.size, fx.size
-        tables = device.empty((*shape[:2], 2 * shape[2]))
-        lines = table if bands == slice(None) else device.array(whole[bands])
-        arrays = [lines, *map(device.array, (q[bands], *weights, fy, fx)), tables]
-        grid = -(-shape[0] // block), fy.size, fx.size
-        sizes = [low, high, *numbers, *shape]
-        device.launch("optics.pupil", "polar", grid, *arrays, *sizes, **launching)
-        return tables
+    def _weights(self, fy, fx):
+        """Weights of replicas along both axes, and the frequencies, of the device."""
+        replicas, weights = np.arange(self._ends[0], self._ends[1] + 1)[:, None], []
+        for f, (width, spot, move) in zip((replicas + fy, replicas + fx), self._axes, strict=True):
+            spread = np.exp(-2 * (np.pi * self._soft * f) ** 2 + 2j * np.pi * move * f)
+            one = np.sinc(width * f) * np.cos(np.pi * spot * f) * spread
+            weights.append(one.real if self.real else np.stack([one.real, one.imag], axis=-1))
+        return list(map(self.device.array, (*weights, fy, fx)))
 
-    reach = ceil(NODES * cutoff) + 3
-    is_large = rows * cols >= max(LARGE, 2 * (2 * reach + 1) ** 2)
-    if block > 1 and is_large and not sides:  # a polygon has edges along its rays
-        return device.array(_fold_between(fold, device, len(q), weights, fy, fx, low, high, reach))
-    return fold(weights, fy, fx, low, high)
+    def sharpen(self, tables, nodes, rows, cols):
+        """Add what cubics between the nodes of a shorter period miss next to creases."""
+        if self._creases is None:
+            return
+        device, found = self.device, self._creases
+        sizes = np.stack([found.sizes.real, found.sizes.imag], axis=-1)
+        fy, fx = self.frequencies(rows, cols)
+        device.launch(
+            "optics.pupil",
+            "crease",
+            (len(self._q), len(fy)),
+            *map(device.array, (found.lines, sizes, self._q)),
+            *self._weights(fy, fx),
+            tables,
+            *(*self._ends, found.reach, nodes, cols),
+            *(*sizes.shape[1:3], len(self._q), len(fy), len(fx)),
+            defines={"BANDS": 1},
+        )
 
 
-def _fold_between(fold, device, bands, weights, fy, fx, low, high, reach):
-    """Return tables from O at even frequencies: cubics between them, and the sum over replicas, are sparse matrices.
+def _interpolate(fold, coarse, rows, cols):
+    """Return tables of a period by cubics between tables of a shorter one.
 
     Near f = 0, where O has a cusp, the tables are exact.
     """
-    nodes = np.arange(-reach, reach + 1) / NODES
-    plain = np.zeros((1, len(nodes), 2), np.float32)
-    plain[..., 0] = 1
-    replicas = np.arange(low, high + 1)[:, None]
-    down, across = (
-        _cubics(replicas + f, weight, reach) for f, weight in zip((fy, fx), weights, strict=True)
-    )
-    near = [np.flatnonzero(np.abs(f) < EXACT / NODES) for f in (fy, fx)]
-    parts = [np.ascontiguousarray(weight[:, at]) for weight, at in zip(weights, near, strict=True)]
-    tables = np.empty((bands, len(fy), 2 * len(fx)), np.float32)
+    device, real = fold.device, fold.real
+    fy, fx = fold.frequencies(rows, cols)
+    nodes = 2 * (coarse.shape[1] - 1) if real else coarse.shape[1]
+    down, across = _cubics(fy, nodes, real), _cubics(fx, nodes, True)
+    out = device.empty((len(coarse), len(fy), fold.width * len(fx)))
+    tables = device.numpy(out)
 
-    def make(table, values):
-        along = np.ascontiguousarray((across @ values.view(np.complex64).T).T)
-        table[:] = (down @ along).view(np.float32)
+    def make(band):
+        values = coarse[band]
+        if not real:
+            values = values.view(np.complex64)
+            # columns before the first and after the last: opposite frequencies are conjugates
+            ends = np.roll(values[::-1, [1, -2]], 1, axis=0).conj()
+            values = np.hstack([ends[:, :1], values, ends[:, 1:]])
+        else:
+            values = np.hstack([values[:, 1:2], values, values[:, -2:-1]])
+            values = np.vstack([values[1:2], values, values[-2:-1]])
+        along = np.ascontiguousarray((across @ np.ascontiguousarray(values.T)).T)
+        tables[band] = down @ along.view(np.float32)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for first in range(0, bands, AT_ONCE):
-            some = slice(first, first + AT_ONCE)
-            values = device.numpy(fold([plain, plain], nodes, nodes, 0, 0, some))
-            list(pool.map(make, tables[some], values))
-    exact = device.numpy(fold(parts, fy[near[0]], fx[near[1]], low, high))
+        list(pool.map(make, range(len(coarse))))
+    fold.sharpen(out, nodes, rows, cols)
+    near = [np.flatnonzero(np.abs(f) < EXACT / nodes) for f in (fy, fx)]
+    exact = device.numpy(fold.at(fy[near[0]], fx[near[1]]))
+    tables = device.numpy(out)
     tables[:, near[0], : exact.shape[2]] = exact
     return tables
 
 
-def _cubics(f, weights, reach):
-    """Sparse matrix from values at the nodes to sums over replicas f (replicas, n), complex64 (n, 2 reach + 1)."""
-    place = f * NODES + reach
-    first = np.floor(place).astype(int) - 1
-    t = place - first - 1
+def _cubics(f, nodes, is_open):
+    """Sparse matrix from values at the nodes of a period, and one more at both ends if open, to values at f."""
+    place = f * nodes
+    below = np.floor(place).astype(int)
+    t = place - below
     basis = np.stack(
         [
             -t * (t - 1) * (t - 2) / 6,
@@ -178,15 +222,15 @@ def _cubics(f, weights, reach):
             (t + 1) * t * (t - 1) / 6,
         ],
         axis=-1,
-    )
-    entries = basis * (weights[..., 0] + 1j * weights[..., 1])[..., None]
-    column = first[..., None] + np.arange(4)
-    row = np.broadcast_to(np.arange(f.shape[1])[:, None], column.shape)
-    there = (column >= 0) & (column <= 2 * reach)
-    shape = f.shape[1], 2 * reach + 1
-    return scipy.sparse.csr_array(
-        (entries[there].astype(np.complex64), (row[there], column[there])), shape=shape
-    )
+    ).astype(np.float32)
+    if is_open:  # 1/2 is the last node
+        column, count = below[:, None] + np.arange(4), nodes // 2 + 3
+        keep = column < count
+    else:
+        column, count = (below[:, None] + np.arange(-1, 3)) % nodes, nodes
+        keep = np.ones(column.shape, bool)
+    row = np.broadcast_to(np.arange(len(f))[:, None], column.shape)
+    return scipy.sparse.csr_array((basis[keep], (row[keep], column[keep])), shape=(len(f), count))
 
 
 def cases():

@@ -128,3 +128,92 @@ def polar(
                 total += times(weights, wp.vec2(value[0], sign * value[1]))
     tables[band, y, 2 * x] = total[0]
     tables[band, y, 2 * x + 1] = total[1]
+
+
+@wp.kernel
+def crease(
+    # in:
+    lines: wp.array2d[float],
+    sizes: wp.array4d[float],
+    q: wp.array[float],
+    weight_y: wp.array3d[float],
+    weight_x: wp.array3d[float],
+    fy: wp.array[float],
+    fx: wp.array[float],
+    # out:
+    tables: wp.array3d[float],
+    # params:
+    low: int,
+    high: int,
+    reach: float,
+    nodes: int,
+    period: int,
+    # sizes:
+    creases: int,
+    places: int,
+    bands: int,
+    rows: int,
+    cols: int,
+):
+    band, y = wp.tid()
+    one = q[band]
+    step = 1.0 / float(nodes)
+    at_y = fy[y] * float(nodes)
+    ty = at_y - wp.floor(at_y)
+    cy = cubic(ty)
+    scale = float(places - 1) / (2.0 * reach)
+    for k in range(creases):
+        ny = lines[k, 0]
+        nx = lines[k, 1]
+        offset = lines[k, 2] / one
+        sign = lines[k, 3] * one
+        wide = 2.0 * (wp.abs(ny) + wp.abs(nx)) * step
+        end = reach / one + wide
+        for a in range(low, high + 1):
+            v = fy[y] + float(a)
+            rest = ny * v - offset
+            first = float(low) - 1.0  # of u: near the line, and not beyond its ends
+            last = float(high) + 1.0
+            if wp.abs(nx) > 1.0e-6:
+                first = wp.max(first, -rest / nx - wide / wp.abs(nx))
+                last = wp.min(last, -rest / nx + wide / wp.abs(nx))
+            elif wp.abs(rest) >= wide:
+                last = first - 1.0
+            if wp.abs(ny) > 1.0e-6:
+                first = wp.max(first, nx * v / ny - end / wp.abs(ny))
+                last = wp.min(last, nx * v / ny + end / wp.abs(ny))
+            elif wp.abs(nx * v) >= end:
+                last = first - 1.0
+            for b in range(low, high + 1):
+                begin = wp.max(int(wp.ceil((first - float(b)) * float(period))), 0)
+                stop = wp.min(int(wp.floor((last - float(b)) * float(period))), cols - 1)
+                for x in range(begin, stop + 1):
+                    u = fx[x] + float(b)
+                    place_ = ((nx * v - ny * u) * one + reach) * scale
+                    if place_ > 0.0 and place_ < float(places - 1):
+                        i = wp.min(int(place_), places - 2)
+                        here = wp.vec2(sizes[band, k, i, 0], sizes[band, k, i, 1])
+                        slope = wp.vec2(sizes[band, k, i + 1, 0], sizes[band, k, i + 1, 1]) - here
+                        here = here + (place_ - float(i)) * slope
+                        at_x = fx[x] * float(nodes)
+                        tx = at_x - wp.floor(at_x)
+                        away = rest + nx * u
+                        cx = cubic(tx)
+                        # |away|, and that times the place, less cubics through them
+                        none = wp.abs(away)
+                        once = float(0.0)
+                        for m in range(4):
+                            dy = (float(m - 1) - ty) * step
+                            for n in range(4):
+                                dx = (float(n - 1) - tx) * step
+                                tap = cy[m] * cx[n] * wp.abs(away + ny * dy + nx * dx)
+                                none -= tap
+                                once -= tap * (nx * dy - ny * dx)
+                        value = sign * (none * here + once * one * scale * slope)
+                        weights = times(
+                            wp.vec2(weight_y[a - low, y, 0], weight_y[a - low, y, 1]),
+                            wp.vec2(weight_x[b - low, x, 0], weight_x[b - low, x, 1]),
+                        )
+                        value = times(weights, value)
+                        tables[band, y, 2 * x] += value[0]
+                        tables[band, y, 2 * x + 1] += value[1]

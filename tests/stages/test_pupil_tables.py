@@ -211,37 +211,87 @@ def test_tables_of_many_waves(outline, displacement, device):
 
 
 @pytest.mark.parametrize("outline", [Pupil(), Pupil(0, 0.35)])
-def test_large_tables_are_the_integral(outline):
-    """So many frequencies that a CPU interpolates between even ones: at 60, half of them near 0, the folded integral.
+@pytest.mark.parametrize(
+    ("q", "rows", "cols"), [(0.9, 1024, 1600), (2.2, 1025, 1501), (0.4, 900, 540)]
+)
+def test_large_tables_are_the_integral(outline, q, rows, cols):
+    """So many frequencies that a CPU interpolates between fewer: at 60, half of them near 0, the folded integral.
 
-    Beside the 8e-6 of cubics along and across the rays, cubics between nodes 1 / 256 apart (0.0035 of the cut-off) err
-    by 0.05 0.0035^(3/2) = 1e-5 where O ends as (1 - s)^(3/2) or rims touch, with weights of up to 1; float32 adds 1e-6.
+    Beside the 8e-6 of cubics along and across the rays, cubics between the tables of a shorter period err by 1.5e-5;
+    float32 adds 1e-6.
     """
-    rows, cols, q, moved, random = 1024, 1600, 0.9, (0.2, -0.1), np.random.default_rng(5)
+    moved, random = (0.2, -0.1), np.random.default_rng(5)
     waves = 0.6 * noll(8)
     waves[:3, :3] += 0.4 * noll(4) + 0.3 * noll(5)
-    device = open_device("opencl")
-    tables = pupil(
-        outline,
-        waves[None],
-        np.array([q], np.float32),
-        (0.9, 1.0),
-        rows,
-        cols,
-        displacement=moved,
-        device=device,
-    )
-    tables = np.ascontiguousarray(device.numpy(tables)[0]).view(np.complex64)
+    tables = large_tables(outline, waves[None], q, rows, cols, moved).view(np.complex64)[0]
     y = np.concatenate([random.integers(-rows // 2, rows // 2, 30), random.integers(-20, 20, 30)])
     x = np.concatenate([random.integers(0, cols // 2, 30), random.integers(0, 30, 30)])
-    true = np.zeros(len(y), complex)
-    for a in range(-2, 3):
-        for b in range(-2, 3):
-            v, u = y / rows + a, x / cols + b
+    true = folded(outline, waves[None], q, y / rows, x / cols, moved)
+    assert np.abs(tables[y, x] - true).max() < 2.5e-5
+
+
+def test_large_tables_of_a_defocused_circle_are_the_integral():
+    """The same of real quarters, at their edges too."""
+    rows, cols, q, waves, random = 999, 1000, 0.7, defocus(1.2), np.random.default_rng(6)
+    tables = large_tables(CLEAR, waves, q, rows, cols, (0.0, 0.0))[0]
+    assert tables.shape == (500, 501)
+    y = np.concatenate([random.integers(0, 500, 30), [0, 0, 499, 499, 250, 0]])
+    x = np.concatenate([random.integers(0, 501, 30), [0, 500, 500, 0, 500, 12]])
+    true = folded(CLEAR, waves, q, y / rows, x / cols, (0.0, 0.0))
+    assert np.abs(tables[y, x] - true.real).max() < 2.5e-5
+
+
+@pytest.mark.parametrize("device", ["opencl", "warp:cpu"])
+@pytest.mark.parametrize("outline", [Pupil(6), Pupil(5, 0.2, 0.1), Pupil(4, 0, np.pi / 4)])
+@pytest.mark.parametrize("is_aberrated", [False, True])
+def test_large_tables_behind_blades_are_the_integral(outline, is_aberrated, device):
+    """Near the lines across which O changes its slope, too: sides of the pupil along an axis, and any others.
+
+    Of 80 frequencies, half are within two nodes, 1 / 120 cycle, of the lines through the centre and of the cut-off.
+    Beside the 3e-5 of cubics along and across the rays, cubics between the tables of a shorter period err by 1.5e-5.
+    Without the slopes they err by 2e-4.
+    """
+    rows, cols, q, moved, random = 540, 960, 0.9, (0.2, -0.1), np.random.default_rng(7)
+    waves = 0.2 * noll(8)
+    waves[:3, :3] += 0.3 * noll(4) + 0.1 * noll(5)
+    waves = waves[None] * is_aberrated
+    tables = large_tables(outline, waves, q, rows, cols, moved, device).view(np.complex64)[0]
+    y, x = random.integers(-rows // 2, rows // 2, 80), random.integers(0, cols // 2, 80)
+    for k in range(40):
+        side = random.choice(outline.sides)
+        along, away = random.uniform(0.05, 1) * np.sin(np.pi / outline.blades), 0.0
+        if k % 2 and outline.blades % 2 == 0:
+            away, along = outline.inner_radius, along * random.choice([-1, 1])
+        f = (away + 1j * along) * np.exp(1j * side) / q
+        f += (random.uniform(-1, 1) + 1j * random.uniform(-1, 1)) / 120
+        f = f if (f.real + 0.5) % 1 >= 0.5 else -f  # to columns that are there
+        y[k] = (round(f.imag * rows) + rows // 2) % rows - rows // 2
+        x[k] = min(round(f.real * cols) % cols, cols // 2)
+    true = folded(outline, waves, q, y / rows, x / cols, moved)
+    assert np.abs(tables[y, x] - true).max() < 5e-5
+
+
+def large_tables(outline, waves, q, rows, cols, moved, device="opencl"):
+    """Tables on a CPU that interpolates, apertures 0.9 x 1."""
+    device, lengths = open_device(device), np.array([q], np.float32)
+    return np.ascontiguousarray(
+        device.numpy(
+            pupil(outline, waves, lengths, (0.9, 1), rows, cols, displacement=moved, device=device)
+        )
+    )
+
+
+def folded(outline, waves, q, fy, fx, moved):
+    """The integral at frequencies (n,) that fold, apertures 0.9 x 1, complex (n,)."""
+    true = np.zeros(len(fy), complex)
+    reach = int(1 / q + 1.5)
+    for a in range(-reach, reach + 1):
+        for b in range(-reach, reach + 1):
+            v, u = fy + a, fx + b
             weight = (
                 np.sinc(0.9 * v) * np.sinc(u) * np.exp(2j * np.pi * (moved[0] * v + moved[1] * u))
             )
             inside = np.hypot(v, u) * np.float32(q) < 1
             at = u[inside] * np.float32(q), v[inside] * np.float32(q)
-            true[inside] += weight[inside] * transfer(outline, waves[None], *at)[0]
-    assert np.abs(tables[y, x] - true).max() < 2.5e-5
+            true[inside] += weight[inside] * transfer(outline, waves, *at)[0]
+    return true
