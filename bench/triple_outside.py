@@ -33,6 +33,7 @@ from triple_rays import hidden_difference
 from gpusim.domain.errors import OutOfRange
 
 NEAREST, RINGS, FARTHEST = 40, 16, 110  # [sample] within which all light is summed; rings; the most
+BRIGHT = 100.0  # times the median: a highlight
 NODES = 7  # Chebyshev's places along an axis for a lens that varies, and distances of a slope
 SAFE = 10  # [pixel] of the frame's rim that are not judged if the scene outside is an open question
 
@@ -217,7 +218,8 @@ def reach_of(lens, planes) -> int:
         lens.wide * max(NEAREST, RINGS * lens.q(longest), 3 * radius),
         lens.wide * FARTHEST,
     )
-    if scene.border == "zero":
+    # light from afar is a mean over rings: not of a highlight
+    if scene.border == "zero" or planes.max() > BRIGHT * np.median(planes):
         return max(max(planes.shape[1:]), ceil(min(reach, farthest)))
     if reach > 1.3 * farthest:
         raise OutOfRange("spread", f"{reach:.0f} samples", f"up to {1.3 * farthest:.0f}")

@@ -249,7 +249,7 @@ __kernel void limited(
     float4 lowest = (float4)(1.0f), values[4];
     int line_of[4];
 #if COVERS
-    float of_cover[16];
+    float of_cover[16], parts[16];
 #endif
 #pragma unroll
     for (int k = 0; k < 4; ++k) line_of[k] = inside(first_y + k, source_rows, BORDER) * source_cols;
@@ -263,6 +263,7 @@ __kernel void limited(
         vstore4(select((float4)(0.0f), at.z * in_y[k] * wx * part, kept), k, w);
         vstore4(select((float4)(0.0f), 1.0f - part, kept), k, rest);
 #if COVERS
+        vstore4(part, k, parts);
         vstore4(in_y[k] * wx * part, k, of_cover);  // coverage goes on beyond a dark border
 #endif
     }
@@ -292,12 +293,11 @@ __kernel void limited(
         const float per = at.z / whole;
         for (int k = 0; k < 16; ++k) w[k] += per * overlaps[k] * rest[k];
 #if COVERS
-        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - ((float *)values)[k]);
+        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - parts[k]);
 #endif
     }
 #if COVERS
-#pragma unroll
-    for (int p = 0; p < (m == 0 ? COVERS : 0); ++p) {  // by the first grid
+    for (int p = 0; m == 0 && p < COVERS; ++p) {  // by the first grid
         load(cover + (size_t)p * source_rows * source_cols, is_inside, from, sx, values);
         out[((size_t)(maps * PLANES + p) * rows + y) * cols + x] = total_of(values, of_cover);
     }
