@@ -212,6 +212,9 @@ void load(__global const float *restrict plane, const int is_inside, const int4 
     }
 }
 
+// Whether light comes from line i of n. (NVIDIA 580 mistook line numbers that were compared with clamped ones.)
+float lit(const int i, const int n) { return BORDER != 0 || (i >= 0 && i < n) ? 1.0f : 0.0f; }
+
 float total_of(const float4 *values, const float *weights)
 {
     float4 total = (float4)(0.0f);
@@ -245,6 +248,8 @@ __kernel void limited(
     const int4 at_x = first_x + (int4)(0, 1, 2, 3);
     const int4 sx = (int4)(inside(at_x.x, source_cols, BORDER), inside(at_x.y, source_cols, BORDER),
                            inside(at_x.z, source_cols, BORDER), inside(at_x.w, source_cols, BORDER));
+    const float4 lit_x = (float4)(lit(at_x.x, source_cols), lit(at_x.y, source_cols), lit(at_x.z, source_cols),
+                                  lit(at_x.w, source_cols));
     float w[16], rest[16];
     float4 lowest = (float4)(1.0f), values[4];
     int line_of[4];
@@ -258,10 +263,10 @@ __kernel void limited(
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
         const float4 part = values[k];
-        const int4 kept = BORDER == 0 ? (sx == at_x) & -(line_of[k] == (first_y + k) * source_cols) : (int4)(-1);
+        const float4 kept = lit(first_y + k, source_rows) * lit_x;
         lowest = fmin(lowest, part);
-        vstore4(select((float4)(0.0f), at.z * in_y[k] * wx * part, kept), k, w);
-        vstore4(select((float4)(0.0f), 1.0f - part, kept), k, rest);
+        vstore4(at.z * in_y[k] * wx * part * kept, k, w);
+        vstore4((1.0f - part) * kept, k, rest);
 #if COVERS
         vstore4(part, k, parts);
         vstore4(in_y[k] * wx * part, k, of_cover);  // coverage goes on beyond a dark border
