@@ -167,7 +167,7 @@ class _Upload:
     """
 
     def __init__(self, device, scene: Scene, slot: dict):
-        self._scene, self._transfers, after = scene, {}, device.mark()
+        self._scene, self._transfers, after = scene, {}, None
         content = scene.content
         for name in content.samples:
             values, kind = getattr(content, name), content.stored_type(name)
@@ -176,6 +176,7 @@ class _Upload:
                     continue  # already there
                 values = to_host(values, content.form)
             values = np.ascontiguousarray(values, kind)
+            after = after or device.mark()
             target = slot.get((name, kind))
             if target is not None and tuple(target.shape) != values.shape:
                 target = None
