@@ -3,6 +3,7 @@
 import functools
 import threading
 from collections.abc import Sequence
+from typing import Any
 
 from gpusim.backends.device import Device, refuse_fork
 from gpusim.backends.driver import cl_devices
@@ -55,16 +56,10 @@ def open_devices(names: Device | str | Sequence[Device | str] = "auto") -> list[
     """
     if names == "gpus":
         return _gpus()
-    given = names.split(",") if isinstance(names, str) else names
+    given: Any = names.split(",") if isinstance(names, str) else names
     found: list[Device] = []
     for one in given if isinstance(given, list | tuple) else [given]:
-        device = one
-        if not isinstance(one, Device):
-            device = open_device(one.strip() if isinstance(one, str) else one)
-            name, queue = device.name, 1
-            while device.kind == "opencl" and device in found:
-                queue += 1
-                device = open_device(f"{name}#{queue}")
+        device = one if isinstance(one, Device) else _open_next(one, found)
         home = getattr(device, "wp_device", device)
         if any(home is getattr(other, "wp_device", other) for other in found):
             raise DeviceError(f"{device.name} twice: only OpenCL devices have several queues")
@@ -74,6 +69,16 @@ def open_devices(names: Device | str | Sequence[Device | str] = "auto") -> list[
     for other in found[1:]:
         _require_alike(found[0], other)
     return found
+
+
+def _open_next(name, found):
+    """Return a device by its name: for an OpenCL device in `found` another queue of it."""
+    device = open_device(name.strip() if isinstance(name, str) else name)
+    base, queue = device.name, 1
+    while device.kind == "opencl" and device in found:
+        queue += 1
+        device = open_device(f"{base}#{queue}")
+    return device
 
 
 def _require_alike(first, other):

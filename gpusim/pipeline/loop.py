@@ -133,7 +133,7 @@ class SharedOptics:
 
     def __init__(self, device: Device, other: "SharedOptics | None" = None):
         self.cache = Cache(device)
-        self._planned = _Planned() if other is None else other._planned
+        self._planned: _Planned = _Planned() if other is None else other._planned
         self.checked: tuple = ()  # the last check: a plan, and the versions of the arrays
 
     @property

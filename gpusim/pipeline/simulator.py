@@ -124,7 +124,11 @@ class Simulator:
         return copy(self)._connect(camera, Cache(), tables)
 
     def on_devices(self) -> "list[Simulator]":
-        """Return a simulator for each device, this one for the first. Each is for one thread at a time."""
+        """Return a simulator for each device.
+
+        Returns:
+            This simulator for the first device, and others with caches of their own.
+        """
         found = [self]
         for device in self.devices[1:]:
             other = copy(self)

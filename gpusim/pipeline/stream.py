@@ -1,7 +1,8 @@
 """Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
 from collections import deque
-from collections.abc import Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
@@ -113,7 +114,7 @@ class Stream(Iterator):
                 yield frame
             if last is not None:
                 last.judge()
-            if not isinstance(end, StopIteration):
+            if end is not None and not isinstance(end, StopIteration):
                 raise end
         finally:
             uploaded.close()
@@ -135,60 +136,84 @@ def _upload_scenes(
     earlier: _Upload | None = None
     end: Exception | None = None
     number = 0
+    # a driver copies from memory that is not pinned itself: each of several devices has a thread for it
+    pools = [ThreadPoolExecutor(1) if len(devices) > 1 else None for _ in devices]
     try:
         while True:
             if earlier is not None:
                 earlier.wait()
             while end is None and len(sent) <= len(devices):
+                turn, place = number % len(devices), number // len(devices) % SLOTS
                 try:
                     scene = next(scenes)
+                    sent.append(_Upload(devices[turn], scene, slots[turn][place], pools[turn]))
                 except Exception as error:
                     end = error
-                    break
-                turn, place = number % len(devices), number // len(devices) % SLOTS
-                sent.append(_Upload(devices[turn], scene, slots[turn][place]))
                 number += 1
             if not sent:
                 break
             earlier = sent.popleft()
             yield earlier.scene()
-        if not isinstance(end, StopIteration):
+        if end is not None and not isinstance(end, StopIteration):
             raise end
     finally:
         for one in (earlier, *sent):
             if one is not None:
-                one.wait()
+                with suppress(GpusimError):  # raised by `scene`
+                    one.wait()
+        for pool in pools:
+            if pool is not None:
+                pool.shutdown()
 
 
 class _Upload:
     """A scene on its way to a device.
 
-    slot: device arrays that it overwrites, by name. Nothing that is launched from now on reads them.
+    slot: device arrays that it overwrites, by name. Nothing that is launched from now on reads them. pool: a thread
+    that sends; None: this one.
     """
 
-    def __init__(self, device, scene: Scene, slot: dict):
-        self._scene, self._transfers, after = scene, {}, None
-        content = scene.content
-        for name in content.samples:
-            values, kind = getattr(content, name), content.stored_type(name)
-            if not isinstance(values, np.ndarray):
-                if dlpack_kind(values) != CPU[0]:
-                    continue  # already there
-                values = to_host(values, content.form)
-            values = np.ascontiguousarray(values, kind)
-            after = after or device.mark()
-            target = slot.get((name, kind))
-            if target is not None and tuple(target.shape) != values.shape:
-                target = None
-            self._transfers[name] = device.send(values, target, after)
-            slot[name, kind] = self._transfers[name].array
+    def __init__(self, device, scene: Scene, slot: dict, pool: ThreadPoolExecutor | None = None):
+        self._scene, content = scene, scene.content
+        given = {name: getattr(content, name) for name in content.samples}
+        coming = {  # the others are already there
+            name: values
+            for name, values in given.items()
+            if isinstance(values, np.ndarray) or dlpack_kind(values) == CPU[0]
+        }
+        asked = (device, content, coming, slot, device.mark() if coming else None)
+        self._transfers: Callable[[], dict]
+        if pool is None or not coming:
+            transfers = _send(*asked)
+            self._transfers = lambda: transfers
+        else:
+            self._transfers = pool.submit(_send, *asked).result
 
     def scene(self) -> Scene:
         """Return the scene. Later launches wait for its upload."""
-        arrays = {name: transfer.join() for name, transfer in self._transfers.items()}
+        arrays = {name: transfer.join() for name, transfer in self._transfers().items()}
         return self._scene.stored(**arrays) if arrays else self._scene
 
     def wait(self):
         """Wait for the upload."""
-        for transfer in self._transfers.values():
+        for transfer in self._transfers().values():
             transfer.wait()
+
+
+def _send(device, content, samples: dict, slot: dict, after) -> dict:
+    """Return the transfers of samples by name.
+
+    after: mark in the device's work behind which the arrays of the slot may be written to.
+    """
+    transfers = {}
+    for name, values in samples.items():
+        kind = content.stored_type(name)
+        if not isinstance(values, np.ndarray):
+            values = to_host(values, content.form)
+        values = np.ascontiguousarray(values, kind)
+        target = slot.get((name, kind))
+        if target is not None and tuple(target.shape) != values.shape:
+            target = None
+        transfers[name] = device.send(values, target, after)
+        slot[name, kind] = transfers[name].array
+    return transfers

@@ -417,6 +417,48 @@ def test_arrays_may_be_rewritten_three_scenes_later():
     assert all((frame != expected[0]).any() for frame in expected[1:])
 
 
+def test_uploads_to_two_devices_run_at_the_same_time(monkeypatch):
+    """Each device has a thread that sends: the first two scenes meet there."""
+    simulator, meet, begun = gs.Simulator(CAMERA, device=pair_of_gpus()), threading.Barrier(2), []
+    send = OpenCLDevice.send
+
+    def sent(self, *args):
+        begun.append((self, threading.get_ident()))
+        if len(begun) <= 2:
+            meet.wait(20)
+        return send(self, *args)
+
+    monkeypatch.setattr(OpenCLDevice, "send", sent)
+    scenes = cameras.cubes(6, SIZE)
+    found = taken(simulator.stream(scenes, "raw", exposure_time=0.01))
+    assert len({*begun}) == 2 and len(begun) == 6
+    assert not any(thread == threading.get_ident() for _, thread in begun)
+    assert threading.active_count() == 1
+    one = gs.Simulator(CAMERA, device=simulator.device)
+    expected = taken(one.stream(scenes, "raw", exposure_time=0.01))
+    for frame, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(frame, other)
+
+
+def test_an_upload_that_fails_ends_the_stream_after_the_frames_before(monkeypatch):
+    simulator, scenes = gs.Simulator(CAMERA, device=pair_of_gpus()), cameras.cubes(6, SIZE)
+    send, begun = OpenCLDevice.send, []
+
+    def sent(self, *args):
+        begun.append(self)
+        if len(begun) > 3:
+            raise DeviceError("no room")
+        return send(self, *args)
+
+    monkeypatch.setattr(OpenCLDevice, "send", sent)
+    found = []
+    with pytest.raises(DeviceError, match="no room"):
+        for frame in simulator.stream(scenes, "raw", exposure_time=0.01):
+            found.append(np.array(frame))
+    assert len(found) == 3
+    assert threading.active_count() == 1
+
+
 def test_no_scenes_and_fewer_scenes_than_devices(name):
     simulator = gs.Simulator(CAMERA, device=together(name, 3))
     assert [*simulator.stream([])] == []
@@ -512,6 +554,7 @@ def test_commands_write_what_one_device_writes(name, tmp_path, monkeypatch, caps
             ["video", str(photographs), "--segment", "2", "-o", "f.npz"],
             [*shaken, "--segment", "3", "-o", "shaken.mp4"],
             [*shaken, "--segment", "2", "--blur", "-o", "blurred.npz"],
+            ["video", "shaken.mp4", "--segment", "2", "-o", "again.npz"],
             ["pairs", str(photographs), "-o", "pairs", "--each", "3", "--in-shard", "7"],
         ):
             assert not main([*command, *frames, "--device", device])
@@ -520,10 +563,18 @@ def test_commands_write_what_one_device_writes(name, tmp_path, monkeypatch, caps
         for f in folders
     )
     assert (
-        len(one) == 5 + 1 + 7 + 3 + 3
-    )  # frames, a video, frames, tar files of 15 pairs; manifests
+        len(one)
+        == 5 + 1 + 7 + 7 + 3 + 4  # frames, a video, frames, tar files of 15 pairs; manifests
+    )
     assert one == two
     capsys.readouterr()
+    (photographs / "p3.png").write_bytes(b"damaged")
+    errors = []
+    for device in (name, together(name, 2)):
+        video = ["video", str(photographs), "--segment", "2", "-o", f"{len(errors)}.npz"]
+        assert main([*video, *frames, "--device", device])
+        errors.append(capsys.readouterr().err.splitlines()[-1].partition("<")[0])
+    assert errors[0] == errors[1] and "p3.png" in errors[0]
     asked = ["simulate", "ramp", "--camera", "phone", "-o", "x.png", "--device", f"{name},{name}"]
     assert main(asked)
     assert f"{name},{name}: several devices, wanted one" in capsys.readouterr().err
