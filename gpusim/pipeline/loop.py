@@ -150,6 +150,10 @@ class SharedOptics:
         """Probes of the plan."""
         return self._planned.probing
 
+    @probing.setter
+    def probing(self, probing: Probing):
+        self._planned.probing = probing
+
 
 class Loop:
     """Frames of one scene by a Simulator, for previews and loops that change one thing at a time.
