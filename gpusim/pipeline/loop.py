@@ -220,6 +220,7 @@ class Loop:
         self._drift: float | None = None  # of the plan, in the last scene that was checked
         self._last: tuple | None = None  # an exposure, with its plan, scene and settings
         self._drafts = False
+        self._served: tuple = (None,) * 5  # a plan that is usable, and for which settings
         self._known: Facts | None = None  # facts of a plan that was made before
         self._fixed_plan = plan
         if plan is not None:
@@ -312,14 +313,19 @@ class Loop:
 
     def _usable_plan(self):
         """Return the existing plan if it serves this scene and camera, else None."""
-        plan, _ = self.before.plan or (None, None)
-        is_usable = (
-            plan is not None
-            and not self._needs_other_plan()
-            and (plan.scene is self.scene or plan.serves(self.scene))
-            and plan.lasts(self._exposure_time)
-        )
-        return plan if is_usable else None
+        plan, by = self.before.plan or (None, None)
+        now = plan, by, self.scene, self.simulator.camera, self._exposure_time
+        if not all(map(is_, now, self._served)):
+            is_usable = (
+                plan is not None
+                and not self._needs_other_plan()
+                and (plan.scene is self.scene or plan.serves(self.scene))
+                and plan.lasts(self._exposure_time)
+            )
+            if not is_usable:
+                return None
+            self._served = now
+        return plan
 
     @property
     def planned(self) -> tuple[Plan, Facts]:
