@@ -37,6 +37,7 @@ EMPTY = {
     "copy_gbps": 0.0,
     "error": "",
 }
+IDENTITY = ("device", "driver", "version")  # of devices that give the same bits
 KINDS = {key: type(value) for key, value in EMPTY.items()}
 PATIENCE = 600  # [s] until a failed device is tried again: the machine may be less busy then
 HELPER = """
@@ -95,6 +96,29 @@ def best(backend: str = "auto", refresh: bool = False) -> dict:
             DRIVERS.get(sys.platform, "an OpenCL driver for the processor"),
         )
     return chosen
+
+
+def gpus(refresh: bool = False) -> list[str]:
+    """Return the names of the best GPU and of all others of its make and driver.
+
+    Args:
+        refresh: Measure again instead of reading the cache.
+
+    Raises:
+        DeviceError: No GPU works.
+    """
+    entries = devices(refresh)
+    usable = [entry for entry in entries if entry["gpu"] and not entry["error"]]
+    if not usable:
+        causes = "; ".join(f"{one['name']}: {one['error']}" for one in entries if one["error"])
+        causes = " ".join(causes.split())[:200] or "none was found"
+        raise DeviceError(f"gpus: no GPU works here ({causes})")
+
+    def kind(entry):
+        return entry["name"].partition(":")[0], *(entry[key] for key in IDENTITY)
+
+    best = max(usable, key=_preference)
+    return [entry["name"] for entry in usable if kind(entry) == kind(best)]
 
 
 def _preference(entry):
@@ -295,7 +319,7 @@ def hardware_id(device) -> str:
     Devices of one make are interchangeable.
     """
     found = identity(device)
-    return f"{device.kind}: {found['device']}, {found['driver']}, {found['version']}"
+    return f"{device.kind}: {', '.join(found[key] for key in IDENTITY)}"
 
 
 def copy_gbps(device) -> float:

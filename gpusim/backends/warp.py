@@ -229,8 +229,9 @@ class WarpDevice(Taped):
 
     @refusable(of_values)
     def fetch(self, array):
-        if self.on_host:
-            return super().fetch(array)
+        if self.on_host:  # later launches may write to the array
+            copied = np.array(array.numpy())
+            return lambda: copied
         wp, free = self._wp, self._landings[array.shape, array.dtype]
         values = free.pop() if free else self._pinned(array.shape, array.dtype)
         wp.copy(values, array)

@@ -24,6 +24,10 @@ if TYPE_CHECKING:  # the command line starts without them
 
 PANORAMIC = (".exr", ".npz")  # files that may say that they are panoramas
 DEVICE_HELP = "auto, opencl, opencl:N, opencl:NAME, warp:cpu, warp:cuda:N or numpy (default: auto)"
+DEVICES_HELP = (
+    "as for simulate; or several of one kind, which share the work: gpus (all of the best make), or names separated by "
+    "commas (default: auto)"
+)
 SCENE_HELP = (
     "a chart (colorchecker, slanted-edge, ramp, flat, points, deadleaves, sweep) or a file: "
     "spectral .exr, .npz, .mat, HDF5 .h5, ENVI .hdr, planes .tif or .npy, spectra .csv, photograph .png, "
@@ -433,13 +437,20 @@ class Request(Options):
         settings = {name: getattr(self, name) for name in controls or CONTROLS}
         return operate_camera(open_camera(self.camera), **settings)
 
-    def open_simulator(self, camera: "Camera | None" = None) -> "Simulator":
+    def open_simulator(
+        self, camera: "Camera | None" = None, *, several: bool = False
+    ) -> "Simulator":
         """Return the simulator of a camera, by default of `open_camera`, on the device.
+
+        Args:
+            camera: The camera.
+            several: Whether the command works on several devices.
 
         Raises:
             GpusimError: As `Simulator` does.
             Conflict: For options about a tolerance without --tolerance.
         """
+        from gpusim.backends import open_device
         from gpusim.pipeline.simulator import Simulator
 
         if self.tolerance is None:
@@ -448,7 +459,7 @@ class Request(Options):
 
         return Simulator(
             self.open_camera() if camera is None else camera,
-            device=self.device,
+            device=self.device if several else open_device(self.device),
             tolerance=self.tolerance,
             guaranteed=self.guaranteed,
             strict=self.strict,

@@ -11,6 +11,7 @@ from gpusim.apps.pairs.variety import Variety, scene_options
 from gpusim.apps.video.segments import Shard, segments_of
 from gpusim.cli.captures import capture_option
 from gpusim.cli.options import (
+    DEVICES_HELP,
     SCENE_HELP,
     Request,
     describe_verdicts,
@@ -67,6 +68,7 @@ class PairsRequest(Request):
     capture: "Capture | None" = capture_option(
         "; frames that are not merged are on a first axis of the arrays"
     )
+    device: str = option(default="auto", in_key=False, help=DEVICES_HELP)
     seed: int = seed_option("the noise and of --vary")
     pictures: bool = flag("also write KEY.rgb.png of every frame")
     in_shard: int = option(
@@ -102,6 +104,7 @@ def pairs(request: PairsRequest) -> int:
     """
     from tqdm import tqdm
 
+    from gpusim.apps.devices import run_together
     from gpusim.apps.pairs.pairs import Pairs, gain_of
     from gpusim.apps.pairs.shards import write_shard
     from gpusim.apps.video.manifest import describe_run, keep_manifest
@@ -109,7 +112,7 @@ def pairs(request: PairsRequest) -> int:
 
     request.check_settings()
     varied = dict(request.vary.ranges)
-    simulator = request.open_simulator()
+    simulator = request.open_simulator(several=True)
     camera = simulator.camera
     for speed in varied.get("iso", ()):  # refuse wrong settings before the work
         gain_of(camera, speed)
@@ -153,6 +156,18 @@ def pairs(request: PairsRequest) -> int:
     begun, count = time.perf_counter(), sum(map(len, missing))
     states: Counter[str] = Counter()
 
+    parts = [made.on(one) for one in simulator.on_devices()]
+
+    def files(shard):
+        """Return the pairs of a shard. Devices take the photographs in turn."""
+        turns = [number // request.each % len(parts) for number in shard]
+        own: list[list[int]] = [[] for _ in parts]
+        for number, turn in zip(shard, turns, strict=True):
+            own[turn].append(number)
+        return run_together(
+            [part.files(numbers) for part, numbers in zip(parts, own, strict=True)], turns
+        )
+
     def is_empty():
         return not any(folder.glob("*.tar"))
 
@@ -161,7 +176,7 @@ def pairs(request: PairsRequest) -> int:
         tqdm(total=count, unit="pair", disable=None) as bar,
     ):
         for shard in missing:
-            write_shard(names[shard.start], _count_states(made.files(shard), bar, states))
+            write_shard(names[shard.start], _count_states(files(shard), bar, states))
     seconds = time.perf_counter() - begun
     if count:
         print(

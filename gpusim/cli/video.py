@@ -13,6 +13,7 @@ from gpusim.apps.video.segments import LENGTH, Shard, segments_of
 from gpusim.cli.captures import capture_option
 from gpusim.cli.moving import MOST_FRAMES, MovingRequest
 from gpusim.cli.options import (
+    DEVICES_HELP,
     describe_verdicts,
     flag,
     make_folder,
@@ -99,6 +100,7 @@ class VideoRequest(MovingRequest):
         help="add an episode of this task, such as 'pick up the cube', to the LeRobot data set "
         "(version 3.0) in the folder -o, which is created if it does not exist",
     )
+    device: str = option(default="auto", in_key=False, help=DEVICES_HELP)
     seed: int = seed_option("the temporal noise and of --shake")
     capture: "Capture | None" = capture_option("; a video merges them", moves=False)
     blur: bool = flag("simulate motion blur and rolling shutter (slow)")
@@ -199,6 +201,7 @@ def video(request: VideoRequest) -> int:
     Raises:
         GpusimError: If an option or a file is wrong.
     """
+    from gpusim.apps.devices import run_together
     from gpusim.apps.video.loops import NO_LOOPS, Loops
     from gpusim.apps.video.manifest import Plans, keep_manifest
     from gpusim.apps.video.video import ONE_FRAME, captured_frames, frames, within_period
@@ -212,7 +215,7 @@ def video(request: VideoRequest) -> int:
         within_period(request.ramp.camera(camera, part), rate)
     if request.lag:
         request.lag.check(camera, request.ramp)
-    simulator = request.open_simulator(camera)
+    simulator = request.open_simulator(camera, several=True)
     segments = segments_of(scenes.count, request.segment)
     own = request.shard.of(segments)
     target, manifest, made = _target(request, simulator, scenes, segments)
@@ -230,12 +233,18 @@ def video(request: VideoRequest) -> int:
     generator: Any = frames
     if is_blurred or request.capture:
         generator = partial(captured_frames, capture=capture, blur=is_blurred)
-    make = partial(generator, simulator, scenes, seed=request.seed, ramps=request.ramp, loops=loops)
+    settings = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
+    written, simulators = [], simulator.on_devices()
+    for turn, one in enumerate(simulators):  # each makes whole segments, of scenes of its own
+        shown = (
+            request.open_scenes(request.seed, request.flicker or request.pwm) if turn else scenes
+        )
+        make = partial(generator, one, shown, **settings)
+        written.append(target.write(make, own[turn :: len(simulators)]))
     with keep_manifest(manifest, made, target.words, target.is_empty):
-        written = target.write(make, own)
         for note in next(scenes.between(0, 1)).notes:
             print(f"note: {note}")
-        return _report(target, written, own, simulator.tolerance, Plans(manifest))
+        return _report(target, run_together(written), own, simulator.tolerance, Plans(manifest))
 
 
 def _meter(request, simulator, scenes):

@@ -1,14 +1,15 @@
 """Several frames in one array, of several scenes or with several settings."""
 
 from collections.abc import Iterable
+from contextlib import suppress
 from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.domain.camera import Camera, checked_camera
-from gpusim.domain.errors import BadData, DoesNotFit, checked_count
-from gpusim.domain.memory import is_array
+from gpusim.domain.errors import BadData, DoesNotFit, GpusimError, checked_count
+from gpusim.domain.memory import is_array, type_of
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.optics.labels import carry_labels
@@ -27,7 +28,8 @@ class Batch:
     """A simulator's frames, `count` in each call, in one device array.
 
     Each item is the frame of a `Loop`, so results are reused from call to call. Results that items share, for
-    example a scene's blur, are computed once. The device measures each scene that the plan was not made for; the next
+    example a scene's blur, are computed once on each device. Several devices take the items in turn, with the same
+    bits, and copy the frames to the first one. The device measures each scene that the plan was not made for; the next
     call checks these measurements.
 
     Args:
@@ -60,6 +62,7 @@ class Batch:
         self.output, self._capture = checked_output(output), checked_capture(capture)
         self.count = checked_count("count of a batch", count, 1, MOST)
         self._simulator, self._cache = simulator, Cache(simulator.device)
+        self._simulators = simulator.on_devices()
         self._items: list[Loop | None] = [None] * self.count
         self._planned_for, self._plan = None if plan is not None else planned_for, plan
         self.plans: list[Plan] = []
@@ -132,12 +135,18 @@ class Batch:
 
     def _frames(self, rows):
         """Return a frame of each scene with its camera, exposure time, gain, seed and number."""
-        device = self._simulator.device
+        device, ahead = self._simulator.device, len(self._simulators) - 1
+        loops: list[Loop] = []
         frames = []
         plans = []
-        for item, (scene, camera, seconds, gain, seed, number) in enumerate(rows):
-            loop = self._loop(item, scene, camera)
-            loop.update(scene=scene, exposure_time=seconds, gain=gain)
+        for item, (scene, _, _, _, seed, number) in enumerate(rows):
+            for own, camera, seconds, gain, *_ in rows[len(loops) : item + 1 + ahead]:
+                loop = self._loop(len(loops), own, camera)
+                loops.append(loop.update(scene=own, exposure_time=seconds, gain=gain))
+                if len(loops) > item + 1:
+                    with suppress(GpusimError):  # raised again in its turn
+                        loop.begin()
+            loop = loops[item]
             if not item and self._capture is None:  # the items' arrays and the memory of one frame
                 plan = loop.plan
                 needed = plan.bytes_needed + self.count * bytes_of_item(plan, self.output)
@@ -153,7 +162,7 @@ class Batch:
             if self._items[item].before.plan is None:
                 # the plan does not fit: make the frame with a new loop, for this call only
                 self._items[item] = None
-                own = self._simulator.apart(camera, Cache())
+                own = self._simulator_of(item).apart(camera, Cache())
                 loop = Loop(own, scene, seconds, gain, capture=self._capture)
                 frames[item] = loop.output(self.output, seed=seed, first=number)
                 plans[item] = loop.plan_of_output
@@ -163,6 +172,10 @@ class Batch:
                 f"batch: frames of {' and '.join(map(str, sorted(shapes)))} values; wanted cameras whose "
                 "frames have one shape"
             )
+        frames = [
+            _brought(frame, device) if item % len(self._simulators) else frame
+            for item, frame in enumerate(frames)
+        ]
         self.plans, self._seen = plans, [(scene, camera) for scene, camera, *_ in rows]
         function = join_frames if self._capture and self._capture.has_frames else stack_frames
         return self._cache("frames", function, *frames, device=device)
@@ -176,8 +189,12 @@ class Batch:
             if loop is not None:
                 loop.judge()
 
+    def _simulator_of(self, item):
+        """Return the simulator on the device of an item."""
+        return self._simulators[item % len(self._simulators)]
+
     def _loop(self, item, scene, camera):
-        """Return the loop of an item. It shares the optical results of items with the same plan."""
+        """Return the loop of an item. It shares the plan of items with the same, on its device optical results too."""
         loop = self._items[item]
         if loop is not None and loop.simulator.camera is camera:
             return loop
@@ -192,21 +209,33 @@ class Batch:
                 return loop.update(camera=camera)
             loop.judge()  # its last call
         in_use = [other for other in self._items if other is not None and other is not loop]
-        twin = next(filter(has_same_plan, in_use), None)
-        tables = twin.simulator.tables if twin else Cache() if in_use else self._simulator.tables
-        simulator = self._simulator.apart(camera, tables)
+        twins = [*filter(has_same_plan, in_use)]
+        base = self._simulator_of(item)
+        in_use = [other for other in in_use if other.simulator.device is base.device]
+        twin = next((other for other in twins if other in in_use), None)
+        tables = twin.simulator.tables if twin else Cache() if in_use else base.tables
+        simulator = base.apart(camera, tables)
+        before = SharedOptics(base.device)
+        if self._planned_for is None and twins:
+            before = twin.before if twin else SharedOptics(base.device, twins[0].before)
         loop = self._items[item] = Loop(
             simulator,
             self._planned_for or scene,
-            before=twin.before
-            if twin and self._planned_for is None
-            else SharedOptics(simulator.device),
+            before=before,
             plan=self._plan,
             capture=self._capture,
         )
         if self._planned_for is not None:
             loop.plan  # noqa: B018  makes the plan for all later scenes
         return loop
+
+
+def _brought(frame, device):
+    """Return a copy of another device's array."""
+    kind = type_of(frame)
+    if device.on_host:  # the other device will write to the array's memory again
+        frame = np.array(frame)
+    return device.array(frame, kind)
 
 
 def stack_frames(*frames, device) -> Any:

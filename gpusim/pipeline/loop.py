@@ -115,18 +115,44 @@ class _Check:
     seconds: float
 
 
+@dataclasses.dataclass
+class _Planned:
+    """A plan with its camera, or None, and its probes."""
+
+    plan: tuple | None = None
+    probing: Probing = dataclasses.field(default_factory=Probing)
+
+
 class SharedOptics:
     """A plan and the optical results that several loops share.
 
     Args:
         device: Device of the loops.
+        other: Shared by loops on another device of the same kind, which then have the same plan.
     """
 
-    def __init__(self, device: Device):
+    def __init__(self, device: Device, other: "SharedOptics | None" = None):
         self.cache = Cache(device)
-        self.plan: tuple | None = None  # a Plan and its camera
-        self.probing = Probing()
+        self._planned: _Planned = _Planned() if other is None else other._planned
         self.checked: tuple = ()  # the last check: a plan, and the versions of the arrays
+
+    @property
+    def plan(self) -> tuple | None:
+        """A Plan and its camera."""
+        return self._planned.plan
+
+    @plan.setter
+    def plan(self, plan: tuple | None):
+        self._planned.plan = plan
+
+    @property
+    def probing(self) -> Probing:
+        """Probes of the plan."""
+        return self._planned.probing
+
+    @probing.setter
+    def probing(self, probing: Probing):
+        self._planned.probing = probing
 
 
 class Loop:
@@ -194,6 +220,7 @@ class Loop:
         self._drift: float | None = None  # of the plan, in the last scene that was checked
         self._last: tuple | None = None  # an exposure, with its plan, scene and settings
         self._drafts = False
+        self._served: tuple = (None,) * 5  # a plan that is usable, and for which settings
         self._known: Facts | None = None  # facts of a plan that was made before
         self._fixed_plan = plan
         if plan is not None:
@@ -257,9 +284,7 @@ class Loop:
             OutOfRange: A number is outside its allowed range.
         """
         simulator, scene, before = self.simulator, self.scene, self.before
-        camera, tolerance = simulator.camera, simulator.tolerance
-        plan, by = before.plan or (None, None)
-        seconds, probing = self._exposure_time, before.probing
+        camera, seconds, probing = simulator.camera, self._exposure_time, before.probing
         if self._fixed_plan is not None:
             if simulator.strict:
                 self._predict_given()
@@ -267,16 +292,9 @@ class Loop:
             return self._fixed_plan
         if self._drafts and (draft := self._draft()) is not None:
             return draft
-        is_other = by is not None and not (
-            by is camera or same(plan_inputs(by, tolerance), plan_inputs(camera, tolerance))
-        )
-        if (
-            plan is None
-            or is_other
-            or not (plan.scene is scene or plan.serves(scene))
-            or not plan.lasts(seconds)
-        ):
-            if is_other:
+        plan = self._usable_plan()
+        if plan is None:
+            if self._needs_other_plan():
                 probing.forget()
             facts = self._facts()
             least, words = probing.least(scene), probing.words
@@ -284,6 +302,30 @@ class Loop:
             probing.set_plan(plan)
         before.plan = plan, camera
         return (self._drafts and self._draft()) or plan
+
+    def _needs_other_plan(self):
+        """Return True if the existing plan is for a camera whose plans differ."""
+        _, by = self.before.plan or (None, None)
+        camera, tolerance = self.simulator.camera, self.simulator.tolerance
+        return by is not None and not (
+            by is camera or same(plan_inputs(by, tolerance), plan_inputs(camera, tolerance))
+        )
+
+    def _usable_plan(self):
+        """Return the existing plan if it serves this scene and camera, else None."""
+        plan, by = self.before.plan or (None, None)
+        now = plan, by, self.scene, self.simulator.camera, self._exposure_time
+        if not all(map(is_, now, self._served)):
+            is_usable = (
+                plan is not None
+                and not self._needs_other_plan()
+                and (plan.scene is self.scene or plan.serves(self.scene))
+                and plan.lasts(self._exposure_time)
+            )
+            if not is_usable:
+                return None
+            self._served = now
+        return plan
 
     @property
     def planned(self) -> tuple[Plan, Facts]:
@@ -390,9 +432,7 @@ class Loop:
         simulator, scene, values = self.simulator, self.scene, self.values
         while True:
             plan = self.plan
-            self._use("exposure", exposure_steps, simulator, plan)
-            values.give(content=blurred_content(plan, scene), view=scene.view)
-            values["rates"]
+            self._start(plan)
             # last, so the device has work while the host waits
             if self._plan_still_valid():
                 break
@@ -404,6 +444,30 @@ class Loop:
             self._start_check(plan, exposure.mean, seconds)
         self._last = exposure, plan, scene, *settings
         return exposure
+
+    def _start(self, plan):
+        """Launch the blur of the scene."""
+        self._use("exposure", exposure_steps, self.simulator, plan)
+        self.values.give(content=blurred_content(plan, self.scene), view=self.scene.view)
+        self.values["rates"]
+
+    def begin(self) -> None:
+        """Launch the blur of the scene if there is a plan, so that the device has work before the frame is made."""
+        plan = self._usable_plan() if self.capture is None else None
+        if plan is not None and not (self._last and self._last[1:3] == (plan, self.scene)):
+            self._last = None  # its arrays are rewritten
+            self._start(plan)
+
+    def follow(self, other: "Loop") -> None:
+        """Continue after a frame of another loop with the same plan, as if this loop had made that frame.
+
+        Args:
+            other: Loop on another device of the same kind.
+        """
+        if other is not self:
+            self._pending, other._pending = other._pending, None
+            self._last_metered, self._drift = other._last_metered, other._drift
+            self.before.checked = ()
 
     def _choose_exposure(self):
         """Return exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""

@@ -1,12 +1,12 @@
 """A camera on a device, which makes frames of scenes. Brackets, bursts and other captures are in `gpusim.captures`."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from copy import copy
 from dataclasses import replace
 from typing import overload
 
 from gpusim import pipeline
-from gpusim.backends import Device, open_device
+from gpusim.backends import Device, open_devices
 from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import OutOfRange, checked_count
@@ -35,7 +35,8 @@ class Simulator:
 
     Args:
         camera: The camera that takes the pictures.
-        device: A Device, or a name for `open_device`.
+        device: A Device or a name for `open_device`; or several for `open_devices`, such as "gpus": streams and
+            batches take them in turn, with the same bits. All else is computed on the first.
         tolerance: A preset's name, a relative RMS error or a Tolerance. The planner uses the cheapest method that is
             predicted to meet it, never one that costs more than the exact frame of an infinite scene. The report says
             whether it is met. None computes each wavelength exactly.
@@ -47,7 +48,7 @@ class Simulator:
 
     Raises:
         BadData: No camera.
-        DeviceError: There is no such device.
+        DeviceError: There is no such device, or several are not of one kind.
         UnknownName: There is no such tolerance preset.
         OutOfRange: The tolerance is below the precision of float32, or the reach is not allowed.
     """
@@ -56,7 +57,7 @@ class Simulator:
         self,
         camera: Camera,
         *,
-        device: Device | str = "auto",
+        device: Device | str | Sequence[Device | str] = "auto",
         tolerance: Tolerance | str | None = None,
         guaranteed: bool = False,
         reach: int | None = None,
@@ -65,7 +66,8 @@ class Simulator:
     ):
         self.strict = strict
         self.guaranteed, self.reach, self.period = guaranteed, checked_reach(reach), period
-        self.device = open_device(device) if isinstance(device, str) else device
+        self.devices = open_devices(device)
+        self.device = self.devices[0]
         self.tolerance = None if tolerance is None else Tolerance.parse(tolerance)
         if (
             self.tolerance
@@ -120,6 +122,19 @@ class Simulator:
             The new simulator.
         """
         return copy(self)._connect(camera, Cache(), tables)
+
+    def on_devices(self) -> "list[Simulator]":
+        """Return a simulator for each device.
+
+        Returns:
+            This simulator for the first device, and others with caches of their own.
+        """
+        found = [self]
+        for device in self.devices[1:]:
+            other = copy(self)
+            other.device, other.devices = device, [device]
+            found.append(other._connect(self.camera, Cache(), Cache()))
+        return found
 
     def steps(self, plan: Plan) -> list[Step]:
         """Return the steps of a frame made with a plan, from the scene to display codes.
@@ -201,7 +216,8 @@ class Simulator:
         """Return an iterator over one frame of each scene. The next frame overwrites the array.
 
         The next scene is uploaded while this one is computed. A scene's arrays may be rewritten when the iterator
-        requests the scene after the next. One plan is used as long as it fits the scenes, see `Loop`.
+        requests the scene after the next; with n devices, the scene n + 1 later. Devices take the scenes in turn, and
+        each frame is an array of its device. One plan is used as long as it fits the scenes, see `Loop`.
 
         Args:
             scenes: The scenes.

@@ -1,16 +1,18 @@
 """Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
-from collections.abc import Generator, Iterable, Iterator
-from itertools import count
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.domain.errors import BadData, checked_count
+from gpusim.domain.errors import BadData, GpusimError, checked_count
 from gpusim.domain.memory import CPU, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
-from gpusim.pipeline.loop import checked_capture, checked_output
+from gpusim.pipeline.loop import Loop, SharedOptics, checked_capture, checked_output
 from gpusim.planner.plan import Plan
 
 if TYPE_CHECKING:
@@ -21,6 +23,11 @@ SLOTS = 2  # one is read while the other is written
 
 class Stream(Iterator):
     """An iterator over one frame of each scene, see `Simulator.stream`.
+
+    Several devices take the scenes in turn. One thread starts their work: launches do not wait for a device, and two
+    threads would wait for Python's lock. The blur of a scene is launched while the devices before are still at work.
+    The rest of its frame follows when the statistics of the scene before are there, so the bits are those of one
+    device.
 
     Args:
         simulator: The Simulator.
@@ -59,7 +66,7 @@ class Stream(Iterator):
             )
         checked_capture(settings.get("capture"))
         self.plan, self._settings = plan, settings | {"plan": plan}
-        self._frames = self._generate(simulator, scenes, output, seed, first)
+        self._frames = self._generate(simulator.on_devices(), scenes, output, seed, first)
 
     def __next__(self) -> Any:
         return next(self._frames)
@@ -68,81 +75,145 @@ class Stream(Iterator):
         """End the stream. Waits for uploads."""
         self._frames.close()
 
-    def _generate(self, simulator, scenes, output, seed, first):
-        uploaded = _upload_scenes(simulator.device, map(checked_scene, scenes))
-        loop = None
+    def _generate(self, simulators, scenes, output, seed, number):
+        capture, turn = self._settings.get("capture"), 0
+        loops: list[Loop] = []  # one for each device
+        begun: deque[Loop] = deque()  # those with the next scenes, in order
+        last: Loop | None = None  # that with the last frame
+        end: Exception | None = None  # what ended the scenes
+        devices = [simulator.device for simulator in simulators]
+        uploaded = _upload_scenes(devices, map(checked_scene, scenes))
         try:
-            capture = self._settings.get("capture")
-            for number, scene in zip(count(first, capture.count if capture else 1), uploaded):
-                loop = (
-                    simulator.loop(scene, **self._settings)
-                    if loop is None
-                    else loop.update(scene=scene)
-                )
+            while True:
+                while end is None and len(begun) < len(devices):
+                    try:
+                        scene = next(uploaded)
+                        if len(loops) < len(devices):
+                            before = SharedOptics(devices[turn], loops[0].before) if loops else None
+                            loop = Loop(simulators[turn], scene, before=before, **self._settings)
+                            loops.append(loop)
+                        else:
+                            loop = loops[turn].update(scene=scene)
+                    except Exception as error:  # raised after the frames before
+                        end = error
+                        break
+                    begun.append(loop)
+                    turn = (turn + 1) % len(devices)
+                    if len(begun) > 1:
+                        with suppress(GpusimError):  # raised again in its turn
+                            loop.begin()
+                if not begun:
+                    break
+                loop = begun.popleft()
+                if last is not None:
+                    loop.follow(last)
+                last = loop
                 frame = loop.output(output, seed=seed, first=number)
+                number += capture.count if capture else 1
                 self.plan = loop.plan_of_output
                 yield frame
-            if loop is not None:
-                loop.judge()
+            if last is not None:
+                last.judge()
+            if end is not None and not isinstance(end, StopIteration):
+                raise end
         finally:
             uploaded.close()
 
 
-def _upload_scenes(device: Device, scenes: Iterator[Scene]) -> Generator[Scene, None, None]:
-    """Yield the scenes with their samples on the device, while the next scene is uploaded.
+def _upload_scenes(
+    devices: Sequence[Device], scenes: Iterator[Scene]
+) -> Generator[Scene, None, None]:
+    """Yield the scenes, each with its samples on the next device, while as many later ones are uploaded.
 
-    A scene's arrays may be rewritten when the scene after the next is requested.
+    A scene's arrays may be rewritten when the scene `len(devices) + 1` later is requested. An error of the iterator is
+    raised after the scenes before.
     """
-    if device.on_host or device.kind == "numpy":
+    if devices[0].on_host or devices[0].kind == "numpy":
         yield from scenes
         return
-    slots: list[dict] = [{} for _ in range(SLOTS)]
-    sent, earlier, number = None, None, 0
+    slots: list[list[dict]] = [[{} for _ in range(SLOTS)] for _ in devices]
+    sent: deque[_Upload] = deque()
+    earlier: _Upload | None = None
+    end: Exception | None = None
+    number = 0
+    # a driver copies from memory that is not pinned itself: each of several devices has a thread for it
+    pools = [ThreadPoolExecutor(1) if len(devices) > 1 else None for _ in devices]
     try:
         while True:
             if earlier is not None:
                 earlier.wait()
-            coming = next(scenes, None)
-            following = None if coming is None else _Upload(device, coming, slots[number % SLOTS])
-            if sent is not None:
-                yield sent.scene()
-            if following is None:
-                return
-            sent, earlier, number = following, sent, number + 1
+            while end is None and len(sent) <= len(devices):
+                turn, place = number % len(devices), number // len(devices) % SLOTS
+                try:
+                    scene = next(scenes)
+                    sent.append(_Upload(devices[turn], scene, slots[turn][place], pools[turn]))
+                except Exception as error:
+                    end = error
+                number += 1
+            if not sent:
+                break
+            earlier = sent.popleft()
+            yield earlier.scene()
+        if end is not None and not isinstance(end, StopIteration):
+            raise end
     finally:
-        for one in (sent, earlier):
+        for one in (earlier, *sent):
             if one is not None:
-                one.wait()
+                with suppress(GpusimError):  # raised by `scene`
+                    one.wait()
+        for pool in pools:
+            if pool is not None:
+                pool.shutdown()
 
 
 class _Upload:
     """A scene on its way to a device.
 
-    slot: device arrays that it overwrites, by name. Nothing that is launched from now on reads them.
+    slot: device arrays that it overwrites, by name. Nothing that is launched from now on reads them. pool: a thread
+    that sends; None: this one.
     """
 
-    def __init__(self, device, scene: Scene, slot: dict):
-        self._scene, self._transfers, after = scene, {}, device.mark()
-        content = scene.content
-        for name in content.samples:
-            values, kind = getattr(content, name), content.stored_type(name)
-            if not isinstance(values, np.ndarray):
-                if dlpack_kind(values) != CPU[0]:
-                    continue  # already there
-                values = to_host(values, content.form)
-            values = np.ascontiguousarray(values, kind)
-            target = slot.get((name, kind))
-            if target is not None and tuple(target.shape) != values.shape:
-                target = None
-            self._transfers[name] = device.send(values, target, after)
-            slot[name, kind] = self._transfers[name].array
+    def __init__(self, device, scene: Scene, slot: dict, pool: ThreadPoolExecutor | None = None):
+        self._scene, content = scene, scene.content
+        given = {name: getattr(content, name) for name in content.samples}
+        coming = {  # the others are already there
+            name: values
+            for name, values in given.items()
+            if isinstance(values, np.ndarray) or dlpack_kind(values) == CPU[0]
+        }
+        asked = (device, content, coming, slot, device.mark() if coming else None)
+        self._transfers: Callable[[], dict]
+        if pool is None or not coming:
+            transfers = _send(*asked)
+            self._transfers = lambda: transfers
+        else:
+            self._transfers = pool.submit(_send, *asked).result
 
     def scene(self) -> Scene:
         """Return the scene. Later launches wait for its upload."""
-        arrays = {name: transfer.join() for name, transfer in self._transfers.items()}
+        arrays = {name: transfer.join() for name, transfer in self._transfers().items()}
         return self._scene.stored(**arrays) if arrays else self._scene
 
     def wait(self):
         """Wait for the upload."""
-        for transfer in self._transfers.values():
+        for transfer in self._transfers().values():
             transfer.wait()
+
+
+def _send(device, content, samples: dict, slot: dict, after) -> dict:
+    """Return the transfers of samples by name.
+
+    after: mark in the device's work behind which the arrays of the slot may be written to.
+    """
+    transfers = {}
+    for name, values in samples.items():
+        kind = content.stored_type(name)
+        if not isinstance(values, np.ndarray):
+            values = to_host(values, content.form)
+        values = np.ascontiguousarray(values, kind)
+        target = slot.get((name, kind))
+        if target is not None and tuple(target.shape) != values.shape:
+            target = None
+        transfers[name] = device.send(values, target, after)
+        slot[name, kind] = transfers[name].array
+    return transfers

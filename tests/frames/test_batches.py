@@ -179,6 +179,24 @@ def test_what_an_item_saw_is_judged_where_its_lens_changes(device):
         batch(good, camera=[narrow, wide], exposure_time=0.01)
 
 
+@pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("place", range(COUNT))
+def test_each_item_is_judged_by_its_own_statistics(device, place):
+    """Items share the array of their surveys: each is read before the next item writes to it."""
+    scenes = cubes()
+    batch = gs.Simulator(PHONE, device=device, tolerance=1e-3).batch(COUNT, "raw")
+    batch(scenes, exposure_time=0.01)
+    values = np.zeros_like(scenes[0].content.values)
+    values[24] = scenes[0].content.values.sum(axis=0)
+    scenes[place] = replace(scenes[0], content=gs.Cube(scenes[0].wavelengths, values))
+    batch(scenes, exposure_time=0.01)
+    batch.judge()
+    drifts = [loop._drift for loop in batch._items]  # None: of the scene that was planned for
+    assert [drift is not None and drift > 1e-3 for drift in drifts] == [
+        item == place for item in range(COUNT)
+    ]
+
+
 def test_refuses(monkeypatch):
     simulator, scenes = gs.Simulator(PHONE, device="numpy"), cubes()
     with pytest.raises(UnknownName, match="output"):

@@ -3,6 +3,7 @@
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import cameras
 import devices
 import fake_cuda
 import numpy as np
@@ -115,3 +116,21 @@ def test_memory_of_the_other_device_is_known_by_its_address(two, monkeypatch):
 
     array = two[1]._by_interface(Foreign(two[0].array(np.ones(4, np.float32))))
     assert array.device is two[0].wp_device and asked == [two[0].wp_device]
+
+
+def test_one_simulator_on_both(two, monkeypatch):
+    """Streams and batches by both have the bits of one, and nothing is read before it is there."""
+    monkeypatch.setattr("gpusim.backends.probe.hardware_id", lambda device: "one card")
+    scenes = cameras.cubes(7, (40, 32))
+    simulators = [gs.Simulator(cameras.PHONE, device=device) for device in (two[0], [*two])]
+    one, both = (
+        [np.array(simulator.device.numpy(frame)) for frame in simulator.stream(scenes, "codes")]
+        for simulator in simulators
+    )
+    for frame, other in zip(one, both, strict=True):
+        np.testing.assert_array_equal(frame, other)
+    batches = [simulator.batch(3, "codes") for simulator in simulators]
+    for first in range(3):
+        one, both = (batch(scenes[first : first + 3], seed=first) for batch in batches)
+        assert both.device is two[0].wp_device
+        np.testing.assert_array_equal(two[0].numpy(one), two[0].numpy(both))

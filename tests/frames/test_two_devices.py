@@ -11,11 +11,13 @@ import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
+import cameras
 import numpy as np
 import pytest
 from every_path import made_on, require_equal
 from PIL import Image
 
+import gpusim as gs
 from gpusim.backends import open_device, probe
 from gpusim.backends.driver import cl_devices, pyopencl
 from gpusim.backends.opencl import OpenCLDevice
@@ -109,6 +111,24 @@ def test_devices_work_in_threads_at_once(two):
         (first, again), (second, last) = pool.map(work, two)
     for other in (again, second, last):
         require_equal(first, other)
+
+
+def test_one_simulator_on_both(two):
+    scenes = cameras.cubes(7, (96, 64))
+    one, both = (
+        gs.Simulator(cameras.PHONE, device=device, tolerance=4e-4) for device in (two[0], two)
+    )
+    for output in ("raw", "codes"):
+        frames = (
+            [np.array(frame) for frame in simulator.stream(scenes, output, seed=3)]
+            for simulator in (one, both)
+        )
+        for frame, other in zip(*frames, strict=True):
+            np.testing.assert_array_equal(frame, other)
+    batches = [simulator.batch(3, "codes") for simulator in (one, both)]
+    for first in range(3):
+        frames = (batch(scenes[first : first + 3], seed=first) for batch in batches)
+        np.testing.assert_array_equal(*map(two[0].numpy, frames))
 
 
 def test_what_one_device_made_is_used_by_the_other(two):

@@ -1,8 +1,9 @@
 """Noisy frames of photographs, and the same frames without noise."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import closing
+from copy import copy
 from pathlib import Path
 
 import numpy as np
@@ -61,7 +62,13 @@ class Pairs:
     def __len__(self):
         return self._each * len(self._photographs)
 
-    def files(self, numbers: range) -> Iterator[tuple[str, dict[str, bytes]]]:
+    def on(self, simulator: Simulator) -> "Pairs":
+        """Return the same pairs, made by a simulator on another device."""
+        other = copy(self)
+        other._simulator = simulator
+        return other
+
+    def files(self, numbers: Iterable[int]) -> Iterator[tuple[str, dict[str, bytes]]]:
         """Yield key and files by suffix of each pair; see `gpusim pairs --help`.
 
         Raises as `Simulator.frames` does.
