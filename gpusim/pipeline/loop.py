@@ -536,6 +536,11 @@ class Loop:
         shown = self.output("linear", seed=seed, first=first)
         return shown, self.values[rendering_name(self.simulator.camera)]
 
+    def settle(self) -> None:
+        """Wait until the plan is known to fit this scene, or drop it; the next output has one that fits."""
+        self.expose()
+        self._plan_still_valid()
+
     def frame(self, *, seed: int = 0, first: int = 0) -> Frame:
         """Return one picture with its report, made with a plan that fits the scene.
 

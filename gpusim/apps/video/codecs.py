@@ -13,6 +13,7 @@ Colours are tagged: the display's primaries and curve, and for luma and chroma t
 in limited range.
 """
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from threading import local
 from typing import Any
 
 import numpy as np
@@ -67,6 +69,8 @@ class Codec:
 
 LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
 PART = ".nut"  # suffix of a segment's file, a container for any encoder
+RAW_FRAME = b"FRAME\n"
+RAW = ".y4m"  # suffix of uncompressed videos
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
 CONTAINERS = (".mp4", ".mkv")
 X264 = ("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")
@@ -77,6 +81,7 @@ CODECS = {
     "h265-12": Codec("libx265", "linear", "yuv420p12le", "yuv444p12le", CONTAINERS, X265, "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
+    "y4m": Codec("rawvideo", "codes", "yuv420p", "rgb24", (RAW,), ()),
 }
 
 
@@ -141,13 +146,14 @@ def codec_of(path: Path, name: str | None) -> Codec:
 
     Args:
         path: Path of the file.
-        name: Name of CODECS. None: h264.
+        name: Name of CODECS. None: h264, or y4m for its files.
 
     Raises:
         UnknownName, OutOfRange: If there is no such codec, or the file cannot hold it.
         GpusimError: If PyAV does not have its encoder.
     """
-    name = "h264" if name is None else name
+    if name is None:
+        name = "y4m" if path.suffix.lower() == RAW else "h264"
     if name not in CODECS:
         raise UnknownName("codec", name, CODECS)
     codec, known = CODECS[name], pyav().codecs_available
@@ -195,9 +201,12 @@ class Encoder:
             allowed = f"{LEAST_H265} columns and rows or more, or --codec h264"
             raise OutOfRange("frame size of h265", f"{cols}x{rows}", allowed)
         if quality is not None and not codec.quality:
-            raise Conflict("--quality", "ffv1 is lossless", "leave it out")
+            is_raw = codec.encoder == "rawvideo"
+            reason = "an uncompressed video has none" if is_raw else "ffv1 is lossless"
+            raise Conflict("--quality", reason, "leave it out")
         self.codec, self.rate, self.shape = codec, rate, shape
         self._display, self._tone = display, tone
+        self._threads = local()
         self._options = dict(codec.options)
         if quality is not None:
             self._options[codec.quality] = f"{quality:g}"
@@ -217,6 +226,51 @@ class Encoder:
                 container.mux(stream.encode(change(frame)))
                 yield number
             container.mux(stream.encode(None))
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame before it is encoded."""
+        rows, cols = self.shape
+        return rows * cols * {"codes": 3, "raw": 2}.get(self.codec.output, 12)
+
+    @cached_property
+    def _raw_header(self):
+        """Header of an uncompressed video. Source: the manual page yuv4mpeg(5) of mjpegtools.
+
+        Chroma lies between the pixels that it is the mean of, as in JPEG.
+        """
+        rows, cols = self.shape
+        rate = f"{self.rate.numerator}:{self.rate.denominator}"
+        return (
+            f"YUV4MPEG2 W{cols} H{rows} F{rate} Ip A1:1 C420jpeg XYSCSS=420JPEG "
+            "XCOLORRANGE=LIMITED\n"
+        ).encode()
+
+    def raw_place(self, number: int) -> int:
+        """Return the first byte of a frame in an uncompressed video."""
+        rows, cols = self.shape
+        return len(self._raw_header) + number * (len(RAW_FRAME) + rows * cols * 3 // 2)
+
+    def write_raw(self, file: int, number: int, values: np.ndarray) -> None:
+        """Write a frame to its place in an uncompressed video, in any thread.
+
+        Args:
+            file: Number of the open file.
+            number: Number of the frame.
+            values: Codes (rows, cols, 3).
+        """
+        av = pyav()
+        if not hasattr(self._threads, "change"):
+            self._threads.change = self._converter(av)
+        frame = self._frame(av, values)
+        frame.pts, frame.time_base = number, 1 / self.rate
+        planes = self._threads.change(frame).to_ndarray()
+        before = b"" if number else self._raw_header
+        place = self.raw_place(number) - len(before)
+        for part in (before + RAW_FRAME, memoryview(planes).cast("B")):
+            while len(part):
+                done = os.pwrite(file, part, place)
+                part, place = part[done:], place + done
 
     def join(self, path: Path, parts: list[tuple[int, Path]]):
         """Join the files of segments, each with the number of its first frame. Raises BadFile."""
