@@ -152,9 +152,11 @@ def distort(
     cover=None,
     lit=None,
     window=None,
+    share=None,
 ):
     """Return the stage's result, see `distort.py`; `lit` does not change it."""
-    share = 1.0 if light is None or method == "area" else _share(np.asarray(light), border)
+    if share is None:
+        share = 1.0 if light is None or method == "area" else _share(np.asarray(light), border)
     if cover is not None:
         planes = np.asarray(planes, np.float64) * cover[0]
     planes = np.split(np.asarray(planes), len(grids))
