@@ -93,6 +93,16 @@ def cubic(
     first_x = x + int(floor_x) - 1
     wy = keys(at[0] - floor_y)
     wx = keys(at[1] - floor_x)
+    if first_y >= 0 and first_x >= 0 and first_y + 4 <= source_rows and first_x + 4 <= source_cols:
+        for p in range(m * per_map, (m + 1) * per_map):  # nearly everywhere
+            total = float(0.0)
+            for a in range(4):
+                row = float(0.0)
+                for b in range(4):
+                    row += wx[b] * planes[p, first_y + a, first_x + b]
+                total += wy[a] * row
+            out[p, y, x] = at[2] * total
+        return
     for p in range(m * per_map, (m + 1) * per_map):
         total = float(0.0)
         for a in range(4):
@@ -321,10 +331,27 @@ def limited(
     wy = keys(at[0] - from_y - 1.0)
     wx = keys(at[1] - from_x - 1.0)
     least = float(1.0)
-    for i in range(4):
-        sy = inside(first_y + i, source_rows, border)
-        for j in range(4):
-            least = wp.min(least, share[sy, inside(first_x + j, source_cols, border)])
+    within = first_y >= 0 and first_x >= 0
+    within = within and first_y + 4 <= source_rows and first_x + 4 <= source_cols
+    if within:
+        for i in range(4):
+            for j in range(4):
+                least = wp.min(least, share[first_y + i, first_x + j])
+    else:
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                least = wp.min(least, share[sy, inside(first_x + j, source_cols, border)])
+    if within and covers == 0 and least >= 1.0:  # nearly everywhere: as `cubic`
+        for p in range(m * per_map, (m + 1) * per_map):
+            total = float(0.0)
+            for i in range(4):
+                row = float(0.0)
+                for j in range(4):
+                    row += wx[j] * planes[p, first_y + i, first_x + j]
+                total += wy[i] * row
+            out[p, y, x] = at[2] * total
+        return
     c00 = at
     c10 = at
     c11 = at

@@ -126,6 +126,19 @@ def frames(
     wanted_of = {"seed": seed, "output": output, "parts": parts, "late": late}
     clock = clock or Clock()
     meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
+
+    def operated(shown, number):
+        """Return the scene of a frame, its camera, and arguments of `Loop.update`."""
+        scene = ramps.scene(shown, number / last)
+        camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
+        return scene, camera, loops.operation(camera, number)
+
+    # views of one scene: every segment begins with the plan of the first frame
+    planned: tuple | None = None  # the plan and its camera
+    if isinstance(scenes, Moving) and scenes.is_one_scene and not ramps.ranges:
+        begin, camera, operation = operated(next(scenes.between(0, 1)), 0)
+        loop = simulator.update(camera).loop(begin, meters_late=meters, **operation)
+        planned = loop.plan, camera
     for first, *wanted in segments:
         if scenes.is_still and not ramps.ranges and loops == NO_LOOPS:
             loop = loop or simulator.loop(next(scenes.between(0, 1)))
@@ -135,16 +148,18 @@ def frames(
         coming = clock.each("scenes", ahead(scenes.between(lead, wanted[-1] + 1), READ))
         with closing(coming) as arriving:
             for number, shown in enumerate(arriving, lead):
-                scene = ramps.scene(shown, number / last)
-                camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
-                operation = loops.operation(camera, number)
-                if number == lead or loop is None:
-                    own = simulator.update(camera)
-                    loop = own.loop(scene, meters_late=meters, **operation)
+                scene, camera, operation = operated(shown, number)
+                if number == lead and planned:
+                    loop.restart(*planned)
+                    scene = scene if number else begin
+                if loop is None or (number == lead and not planned):
+                    loop = simulator.update(camera).loop(scene, meters_late=meters, **operation)
                 else:
                     if camera is not loop.simulator.camera:
                         operation["camera"] = camera
                     loop.update(scene=scene, **operation)
+                if number == lead and planned:
+                    loop.settle()
                 # even an unwanted one: the next frame meters it
                 made = _make_frame(loop, number, **wanted_of)
                 if number in wanted:
