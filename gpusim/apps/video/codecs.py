@@ -100,7 +100,13 @@ def pyav():
 
 
 def converter(
-    scale: str, stored: str, width: int, height: int, given: Any, time_base: Fraction
+    scale: str,
+    stored: str,
+    width: int,
+    height: int,
+    given: Any,
+    time_base: Fraction,
+    threads: int = 0,
 ) -> Callable:
     """Return a function that converts frames to another pixel format.
 
@@ -111,8 +117,10 @@ def converter(
         height: Rows of the frames.
         given: VideoFormat of the frames.
         time_base: Time base of the frames [s].
+        threads: Threads of a conversion. 0: one for each processor core.
     """
     graph = pyav().filter.Graph()
+    graph.threads = threads
     parts = [
         graph.add_buffer(width=width, height=height, format=given, time_base=time_base),
         graph.add("scale", scale),
@@ -261,7 +269,7 @@ class Encoder:
         """
         av = pyav()
         if not hasattr(self._threads, "change"):
-            self._threads.change = self._converter(av)
+            self._threads.change = self._converter(av, threads=1)
         frame = self._frame(av, values)
         frame.pts, frame.time_base = number, 1 / self.rate
         planes = self._threads.change(frame).to_ndarray()
@@ -323,13 +331,13 @@ class Encoder:
             tags = known, curve, BT709, LIMITED
         context.color_primaries, context.color_trc, context.colorspace, context.color_range = tags
 
-    def _converter(self, av):
+    def _converter(self, av, threads=0):
         """Return a function from a frame in the given format to one in the stored format."""
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
         (rows, cols), given = self.shape, av.VideoFormat(self.codec.given)
         words = TO_LUMA if self.codec.given == "rgb24" else TO_HALF_CHROMA
-        return converter(words, self.codec.stored, cols, rows, given, 1 / self.rate)
+        return converter(words, self.codec.stored, cols, rows, given, 1 / self.rate, threads)
 
     def _frame(self, av, values):
         """Return a frame in the given format."""
