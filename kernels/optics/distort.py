@@ -144,6 +144,10 @@ def shares(
         border: As for `distort`.
         lit: As for `distort`.
     """
+    if device.kind == "numpy":
+        from gpusim.kernels.optics.distort_ref import share_samples
+
+        return share_samples(light, border)
     light = device.array(light)
     channels, rows, cols = light.shape
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
