@@ -259,14 +259,21 @@ __kernel void limited(
         const float y11 = c11.x - floor_y + 2.0f, y01 = c01.x - floor_y + 1.0f;
         const float x00 = c00.y - floor_x + 1.0f, x10 = c10.y - floor_x + 1.0f;
         const float x11 = c11.y - floor_x + 2.0f, x01 = c01.y - floor_x + 2.0f;
+        // samples that the quadrilateral touches; others have no area
+        const int low_a = max((int)fmin(fmin(y00, y01), fmin(y10, y11)), 0);
+        const int low_b = max((int)fmin(fmin(x00, x10), fmin(x01, x11)), 0);
+        const int end_a = min((int)ceil(fmax(fmax(y00, y01), fmax(y10, y11))), 4);
+        const int end_b = min((int)ceil(fmax(fmax(x00, x10), fmax(x01, x11))), 4);
         float overlaps[16], whole = 0.0f;
-        for (int k = 0; k < 16; ++k) {
-            const float a = k / 4, b = k % 4;
-            const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
-                                + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
-            overlaps[k] = fmax(overlap, 0.0f);
-            whole += overlaps[k];
-        }
+        for (int k = 0; k < 16; ++k) overlaps[k] = 0.0f;
+        for (int i = low_a; i < end_a; ++i)
+            for (int j = low_b; j < end_b; ++j) {
+                const float a = i, b = j;
+                const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
+                                    + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
+                overlaps[4 * i + j] = fmax(overlap, 0.0f);
+                whole += overlaps[4 * i + j];
+            }
         const float per = at.z / whole;
         for (int k = 0; k < 16; ++k) w[k] += per * overlaps[k] * rest[k];
 #if COVERS

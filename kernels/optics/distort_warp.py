@@ -357,13 +357,27 @@ def limited(
     c11 = at
     c01 = at
     whole = float(0.0)
+    low_a = int(0)  # samples that the quadrilateral touches; others have no area
+    low_b = int(0)
+    end_a = int(0)
+    end_b = int(0)
     if least < 1.0:
         c00 = place(lines, m, 2 * y, 2 * x, nx, cols)
         c10 = place(lines, m, 2 * y + 2, 2 * x, nx, cols)
         c11 = place(lines, m, 2 * y + 2, 2 * x + 2, nx, cols)
         c01 = place(lines, m, 2 * y, 2 * x + 2, nx, cols)
-        for i in range(4):
-            for j in range(4):
+        low_a = wp.max(
+            int(wp.min(wp.min(c00[0], c01[0]), wp.min(c10[0], c11[0]) + 1.0) - from_y), 0
+        )
+        low_b = wp.max(
+            int(wp.min(wp.min(c00[1], c10[1]), wp.min(c01[1], c11[1]) + 1.0) - from_x), 0
+        )
+        high_a = wp.max(wp.max(c00[0], c01[0]), wp.max(c10[0], c11[0]) + 1.0)
+        high_b = wp.max(wp.max(c00[1], c10[1]), wp.max(c01[1], c11[1]) + 1.0)
+        end_a = wp.min(int(wp.ceil(high_a - from_y)), 4)
+        end_b = wp.min(int(wp.ceil(high_b - from_x)), 4)
+        for i in range(low_a, end_a):
+            for j in range(low_b, end_b):
                 whole += overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
     for p in range(m * per_map, (m + 1) * per_map):
         out[p, y, x] = 0.0
@@ -379,7 +393,7 @@ def limited(
             part = share[sy, sx]
             w = at[2] * wy[i] * wx[j] * part
             of_cover = wy[i] * wx[j] * part
-            if part < 1.0:
+            if part < 1.0 and i >= low_a and i < end_a and j >= low_b and j < end_b:
                 area_of = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
                 w += at[2] * area_of / whole * (1.0 - part)
                 of_cover += area_of / whole * (1.0 - part)
