@@ -357,6 +357,7 @@ def limited(
     c11 = at
     c01 = at
     whole = float(0.0)
+    areas = wp.mat44(0.0)
     low_a = int(0)  # samples that the quadrilateral touches; others have no area
     low_b = int(0)
     end_a = int(0)
@@ -378,30 +379,39 @@ def limited(
         end_b = wp.min(int(wp.ceil(high_b - from_x)), 4)
         for i in range(low_a, end_a):
             for j in range(low_b, end_b):
-                whole += overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
-    for p in range(m * per_map, (m + 1) * per_map):
-        out[p, y, x] = 0.0
+                areas[i, j] = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
+                whole += areas[i, j]
+    if whole > 0.0:
+        areas = areas / whole
+    weights = wp.mat44(0.0)  # without J
+    for i in range(4):
+        sy = inside(first_y + i, source_rows, border)
+        for j in range(4):
+            part = share[sy, inside(first_x + j, source_cols, border)]
+            weights[i, j] = wy[i] * wx[j] * part + areas[i, j] * (1.0 - part)
     own = 0  # values of the layer, by the first grid
     if m == 0:
         own = covers
-    for p in range(maps * per_map, maps * per_map + own):
-        out[p, y, x] = 0.0
+    for p in range(own):  # coverage goes on beyond a dark border
+        total = float(0.0)
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                total += weights[i, j] * cover[p, sy, inside(first_x + j, source_cols, border)]
+        out[maps * per_map + p, y, x] = total
     for i in range(4):
         sy = inside(first_y + i, source_rows, border)
         for j in range(4):
             sx = inside(first_x + j, source_cols, border)
-            part = share[sy, sx]
-            w = at[2] * wy[i] * wx[j] * part
-            of_cover = wy[i] * wx[j] * part
-            if part < 1.0 and i >= low_a and i < end_a and j >= low_b and j < end_b:
-                area_of = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
-                w += at[2] * area_of / whole * (1.0 - part)
-                of_cover += area_of / whole * (1.0 - part)
             if covers > 0:
-                w *= cover[0, sy, sx]
-            for p in range(own):  # coverage goes on beyond a dark border
-                number = maps * per_map + p
-                out[number, y, x] = out[number, y, x] + of_cover * cover[p, sy, sx]
-            if border != 0 or (sy == first_y + i and sx == first_x + j):
-                for p in range(m * per_map, (m + 1) * per_map):
-                    out[p, y, x] = out[p, y, x] + w * planes[p, sy, sx]
+                weights[i, j] = weights[i, j] * cover[0, sy, sx]
+            if border == 0 and (sy != first_y + i or sx != first_x + j):
+                weights[i, j] = 0.0
+    for p in range(m * per_map, (m + 1) * per_map):
+        total = float(0.0)
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                sx = inside(first_x + j, source_cols, border)
+                total += weights[i, j] * planes[p, sy, sx]
+        out[p, y, x] = at[2] * total

@@ -177,6 +177,11 @@ def codec_of(path: Path, name: str | None) -> Codec:
     return codec
 
 
+def _rows(plane, channels) -> np.ndarray:
+    """Return the memory of a plane of bytes, (rows, channels times columns)."""
+    return np.frombuffer(plane, np.uint8).reshape(plane.height, -1)[:, : channels * plane.width]
+
+
 class Encoder:
     """Encodes frames into the files of segments.
 
@@ -272,13 +277,14 @@ class Encoder:
             self._threads.change = self._converter(av, threads=1)
         frame = self._frame(av, values)
         frame.pts, frame.time_base = number, 1 / self.rate
-        planes = self._threads.change(frame).to_ndarray()
+        changed = self._threads.change(frame)
         before = b"" if number else self._raw_header
-        place = self.raw_place(number) - len(before)
-        for part in (before + RAW_FRAME, memoryview(planes).cast("B")):
-            while len(part):
-                done = os.pwrite(file, part, place)
-                part, place = part[done:], place + done
+        parts = [np.frombuffer(before + RAW_FRAME, np.uint8)]
+        parts += [np.ravel(_rows(plane, 1)) for plane in changed.planes]
+        data, place = np.concatenate(parts), self.raw_place(number) - len(before)
+        while len(data):
+            done = os.pwrite(file, data, place)
+            data, place = data[done:], place + done
 
     def join(self, path: Path, parts: list[tuple[int, Path]]):
         """Join the files of segments, each with the number of its first frame. Raises BadFile."""
@@ -345,7 +351,13 @@ class Encoder:
             values = np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
         elif self.codec.output == "linear":
             return self._luma_and_chroma(av, values)
-        return av.VideoFrame.from_ndarray(np.ascontiguousarray(values), format=self.codec.given)
+        if self.codec.given != "rgb24":
+            return av.VideoFrame.from_ndarray(np.ascontiguousarray(values), format=self.codec.given)
+        rows, cols = self.shape
+        frame = av.VideoFrame(cols, rows, self.codec.given)
+        # NumPy lets other threads run, `from_ndarray` does not
+        _rows(frame.planes[0], 3)[:] = values.reshape(rows, -1)
+        return frame
 
     def _luma_and_chroma(self, av, values):
         """Return a frame of luma and chroma in limited range: black 16, white 235 at 8 bits.
