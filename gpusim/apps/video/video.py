@@ -122,7 +122,8 @@ def frames(
         late: Give functions that return an output, in any thread: nothing waits for the copy here.
         clock: Clock for the part "scenes", the time that frames wait for their scenes.
     """
-    loop, last = None, max(scenes.count - 1, 1)
+    loop: Any = None
+    last = max(scenes.count - 1, 1)
     wanted_of = {"seed": seed, "output": output, "parts": parts, "late": late}
     clock = clock or Clock()
     meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
