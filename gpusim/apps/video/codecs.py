@@ -281,7 +281,8 @@ class Encoder:
         before = b"" if number else self._raw_header
         parts = [np.frombuffer(before + RAW_FRAME, np.uint8)]
         parts += [np.ravel(_rows(plane, 1)) for plane in changed.planes]
-        data, place = memoryview(np.concatenate(parts)), self.raw_place(number) - len(before)
+        data: Any = np.concatenate(parts)
+        place = self.raw_place(number) - len(before)
         while len(data):
             done = os.pwrite(file, data, place)
             data, place = data[done:], place + done
