@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
     from gpusim.domain.flicker import Flicker
 
-ENCODED = (".mp4", ".mkv")
+ENCODED = (".mp4", ".mkv", ".y4m")
 TEXTS = {
     "help": "a frame of every scene, or frames of one scene, as numbered files or an encoded "
     "video; an interrupted run continues"
@@ -90,8 +90,8 @@ class VideoRequest(MovingRequest):
         "--out",
         in_key=False,
         metavar="OUT",
-        help="encoded video .mp4 or .mkv, or numbered files .png, .tif, .exr, .dng, .npz (a.png gives "
-        "a_0000.png, ...); with --lerobot a folder",
+        help="encoded video .mp4 or .mkv, uncompressed video .y4m, or numbered files .png, .jpg, .tif, .exr, "
+        ".npy, .dng, .npz (a.png gives a_0000.png, ...); with --lerobot a folder",
         required=True,
     )
     lerobot: str | None = option(
@@ -133,7 +133,7 @@ class VideoRequest(MovingRequest):
         in_key=False,
         metavar="NAME",
         help="h264 (8 bit), h265 (10 bit), h265-12 (12 bit), ffv1-raw (the mosaic, 16 bit, .mkv), ffv1-linear "
-        "(linear RGB, 16 bit, .mkv) (default: h264)",
+        "(linear RGB, 16 bit, .mkv); .y4m holds y4m (4:2:0, 8 bit, uncompressed) (default: h264)",
     )
     quality: float | None = option(
         in_key=False,
@@ -172,7 +172,7 @@ class VideoRequest(MovingRequest):
             self.refuse("pwm", "--flicker already sets the light", "give only one of them")
         if self.lerobot is None and self.suffix not in ENCODED:
             for name in ("codec", "quality"):
-                self.refuse(name, f"only {' and '.join(ENCODED)} files are encoded")
+                self.refuse(name, f"only {', '.join(ENCODED)} files are encoded")
         has_picture = self.lerobot is not None or self.suffix not in WITHOUT_PICTURE
         if not has_picture or self.codec == "ffv1-raw":
             self.refuse("scaling", "the output holds raw values, not a picture")
@@ -204,6 +204,7 @@ def video(request: VideoRequest) -> int:
     from gpusim.apps.devices import run_together
     from gpusim.apps.video.loops import NO_LOOPS, Loops
     from gpusim.apps.video.manifest import Plans, keep_manifest
+    from gpusim.apps.video.pipeline import Clock
     from gpusim.apps.video.video import ONE_FRAME, captured_frames, frames, within_period
 
     request.check_settings()
@@ -234,17 +235,19 @@ def video(request: VideoRequest) -> int:
     if is_blurred or request.capture:
         generator = partial(captured_frames, capture=capture, blur=is_blurred)
     settings = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
-    written, simulators = [], simulator.on_devices()
+    written, simulators, clock = [], simulator.on_devices(), Clock()
     for turn, one in enumerate(simulators):  # each makes whole segments, of scenes of its own
         shown = (
             request.open_scenes(request.seed, request.flicker or request.pwm) if turn else scenes
         )
         make = partial(generator, one, shown, **settings)
-        written.append(target.write(make, own[turn :: len(simulators)]))
+        written.append(target.write(make, own[turn :: len(simulators)], clock))
     with keep_manifest(manifest, made, target.words, target.is_empty):
         for note in next(scenes.between(0, 1)).notes:
             print(f"note: {note}")
-        return _report(target, run_together(written), own, simulator.tolerance, Plans(manifest))
+        return _report(
+            target, run_together(written), own, simulator.tolerance, Plans(manifest), clock
+        )
 
 
 def _meter(request, simulator, scenes):
@@ -265,11 +268,19 @@ def _meter(request, simulator, scenes):
         )
 
 
-def _report(target, written, own, tolerance, plans):
+def _find_limit(clock, seconds):
+    """Return the part of the pipeline that the others wait for, in words. seconds: of the whole."""
+    frames, scenes = (min(clock.seconds[name], seconds) for name in ("frames", "scenes"))
+    if frames < seconds / 2:
+        return "limited by encoding and writing"
+    return f"limited by {'reading the scenes' if scenes > frames / 2 else 'computing frames'}"
+
+
+def _report(target, written, own, tolerance, plans, clock):
     """Write what is missing, and say what was done.
 
     written: frames of the target, each after it was written. own: segments of this run. plans: of
-    the manifest. Returns the exit status.
+    the manifest. clock: times of the parts. Returns the exit status.
     """
     from tqdm import tqdm
 
@@ -285,12 +296,14 @@ def _report(target, written, own, tolerance, plans):
             worst = error if worst is None else max(worst, error)
             if tolerance is not None:
                 states[one.account.verdict(tolerance).state] += 1
-            bar.set_postfix_str(f"worst error {worst:.2g}", refresh=False)
+            limit = _find_limit(clock, time.perf_counter() - begun)
+            bar.set_postfix_str(f"worst error {worst:.2g}, {limit}", refresh=False)
             bar.update()
     seconds = time.perf_counter() - begun
     if count:
         print(
-            f"{count} frames in {seconds:.1f} s, {count / seconds:.3g} frames/s; worst predicted error {worst:.2g} "
+            f"{count} frames in {seconds:.1f} s, {count / seconds:.3g} frames/s, "
+            f"{_find_limit(clock, seconds)}; worst predicted error {worst:.2g} "
             f"relative rms{describe_verdicts(states)}; {plans}"
         )
     if count < total:
@@ -349,9 +362,9 @@ def _open_numbered(path, simulator, scenes):
 
 def _open_encoded(request, path, simulator, scenes, segments):
     """Return an encoded video or an episode as the output, and its part of the manifest."""
-    from gpusim.apps.video.codecs import CODECS, Encoder, codec_of
+    from gpusim.apps.video.codecs import CODECS, RAW, Encoder, codec_of
     from gpusim.apps.video.lerobot import Episode
-    from gpusim.apps.video.video import EncodedFile
+    from gpusim.apps.video.video import EncodedFile, RawFile
     from gpusim.io.atomic import check_output
 
     camera, sensor = simulator.camera, simulator.readout.output
@@ -381,7 +394,7 @@ def _open_encoded(request, path, simulator, scenes, segments):
         episode = Episode(path, task, camera.name, request.seed, encoder, segments)
         return episode, made | {"task": task}
     check_output(path)
-    target = EncodedFile(path, encoder, segments)
+    target = (RawFile if path.suffix.lower() == RAW else EncodedFile)(path, encoder, segments)
     if path.exists() and not target.folder.exists():
         raise BadFile(path, "exists; remove it, or give -o another name")
     return target, made

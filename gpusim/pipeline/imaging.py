@@ -48,6 +48,7 @@ from gpusim.pipeline.light import (
     place_planes,
     place_samples,
     return_none,
+    share_samples,
     store_content,
     zoom_of,
 )
@@ -120,14 +121,17 @@ class Imaging:
         gains = None
         if by_area and grid is not None and grid.is_even:
             gains = even_samples(view, **_placing_constants(plan), device=self.device)
+        share, border = None, _border(plan)
+        if not by_area:
+            share = share_samples(light, plan.weights, border=border, device=self.device)
         return place_planes(
             light,
             nodes,
-            None if by_area else plan.weights,
+            share,
             view.zoom if by_area else 1.0,
             gains,
             seen=_visible_shape(plan),
-            border=_border(plan),
+            border=border,
             by_area=by_area,
             device=self.device,
         )
@@ -232,11 +236,21 @@ class _Steps:
             # the channels' light, without and with their surroundings
             light = 1 if self.blur is None else 2
             if not by_depth:
+                share = f"{prefix}share"
+                border = {"border": _border(plan), "device": self.device}
+                samples = Step(  # the same for all views of a scene
+                    share,
+                    "",
+                    () if by_area else (chain.value, f"{prefix}lights"),
+                    {} if by_area else border,
+                    run=return_none if by_area else share_samples,
+                )
+                steps.append(samples)
                 chain.add(
                     "optics.distort",
                     {"seen": _visible_shape(plan), "border": _border(plan), "by_area": by_area},
                     f"{prefix}places",
-                    f"{prefix}lights",
+                    share,
                     f"{prefix}zoom",
                     *gains,
                     run=place_planes,

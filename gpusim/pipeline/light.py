@@ -7,7 +7,7 @@ import numpy as np
 
 from gpusim.color.shading import phase_gains, relative_response, shading_gains
 from gpusim.domain.scene import View
-from gpusim.kernels.optics.distort import distort
+from gpusim.kernels.optics.distort import distort, shares
 from gpusim.kernels.optics.expand import expand
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.optics.far import far
@@ -86,12 +86,17 @@ def even_samples(view: View, *, grid, seen, shape, ratio, device) -> Any:
     return device.array(evening(view_nodes(view, grid, seen, shape, ratio), seen)[None])
 
 
-def place_planes(
-    planes_, places, lights, zoom, gains=None, *, seen, border, by_area, device
-) -> Any:
+def share_samples(planes_, lights, *, border, device) -> Any:
+    """Return the part of each sample that cubics may interpolate. lights: see `mix_lights`, or None for channels."""
+    if lights is None:
+        return shares(device, planes_, border)
+    return shares(device, integrate(planes_, lights.astype(np.float32), device=device), border)
+
+
+def place_planes(planes_, places, share, zoom, gains=None, *, seen, border, by_area, device) -> Any:
     """Return planes distorted by the lens and the view.
 
-    lights: see `mix_lights`, or None for channels. gains: see `even_samples`.
+    share: see `share_samples`; not used by area. gains: see `even_samples`.
     """
     if by_area and gains is not None:
         return falloff(
@@ -99,10 +104,7 @@ def place_planes(
         )
     if by_area:
         return distort(planes_, places, seen, border, "area", zoom**2, device=device)
-    light = planes_
-    if lights is not None:
-        light = integrate(planes_, lights.astype(np.float32), device=device)
-    return distort(planes_, places, seen, border, light=light, device=device)
+    return distort(planes_, places, seen, border, share=share, device=device)
 
 
 def add_far(rates, planes_, *, model, mix, transfers, cfa, margin, device) -> Any:

@@ -600,6 +600,25 @@ class Loop:
         shown = self.output("linear", seed=seed, first=first)
         return shown, self.values[rendering_name(self.simulator.camera)]
 
+    def restart(self, plan: Plan, camera: Camera) -> None:
+        """Forget the light of earlier scenes, and begin with a plan for another scene.
+
+        The plan is replaced as soon as a scene shows that it does not fit. Cached results are kept.
+
+        Args:
+            plan: The plan.
+            camera: The camera that it was made for.
+        """
+        self._pending = self._last = self._last_metered = self._frame_exposure = self._drift = None
+        self.before.checked, self.before.probing = (), Probing()
+        self.before.plan = plan, camera
+        self.before.probing.set_plan(plan)
+
+    def settle(self) -> None:
+        """Wait until the plan is known to fit this scene, or drop it; the next output has one that fits."""
+        self.expose()
+        self._plan_still_valid()
+
     def frame(self, *, seed: int = 0, first: int = 0) -> Frame:
         """Return one picture with its report, made with a plan that fits the scene.
 

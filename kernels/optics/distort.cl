@@ -245,6 +245,23 @@ __kernel void limited(
     const float4 wy = keys(at.x - floor_y), wx = keys(at.y - floor_x);
     const float in_y[4] = {wy.x, wy.y, wy.z, wy.w};
     const int is_inside = first_y >= 0 && first_x >= 0 && first_y + 4 <= source_rows && first_x + 4 <= source_cols;
+#if !COVERS
+    if (is_inside) {
+        __global const float *of_light = share + (size_t)first_y * source_cols + first_x;
+        const float4 all = fmin(fmin(vload4(0, of_light), vload4(0, of_light + source_cols)),
+                                fmin(vload4(0, of_light + 2 * source_cols), vload4(0, of_light + 3 * source_cols)));
+        if (fmin(fmin(all.x, all.y), fmin(all.z, all.w)) >= 1.0f) {  // nearly everywhere: as `cubic`
+#pragma unroll
+            for (int p = 0; p < PLANES; ++p) {
+                __global const float *source = planes + ((size_t)(m * PLANES + p) * source_rows + first_y) * source_cols + first_x;
+                const float4 sums = wy.x * vload4(0, source) + wy.y * vload4(0, source + source_cols) +
+                                    wy.z * vload4(0, source + 2 * source_cols) + wy.w * vload4(0, source + 3 * source_cols);
+                out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = at.z * dot(sums, wx);
+            }
+            return;
+        }
+    }
+#endif
     const int4 at_x = first_x + (int4)(0, 1, 2, 3);
     const int4 sx = (int4)(inside(at_x.x, source_cols, BORDER), inside(at_x.y, source_cols, BORDER),
                            inside(at_x.z, source_cols, BORDER), inside(at_x.w, source_cols, BORDER));

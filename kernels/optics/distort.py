@@ -44,6 +44,7 @@ def distort(
     cover: Array | None = None,
     lit: tuple[slice, slice] | None = None,
     window: tuple[slice, slice] | None = None,
+    share: Array | None = None,
 ) -> Array:
     """Resample every plane through the inverse mapping of `grids`.
 
@@ -66,6 +67,7 @@ def distort(
             world. They follow the planes in the result.
         lit: With `cover`: rows and columns of the source outside of which it is 0.
         window: With `cover`: rows and columns of the result outside of which nothing is covered.
+        share: `shares` of the light, in its place: they are the same for all grids.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -98,7 +100,7 @@ def distort(
         launch("area", grid, planes, lines, out, *numbers, *sizes, defines=own_defines)
         return out
     numbers = warp_only(device, BORDERS[border], per_map)
-    if light is None:
+    if light is None and share is None:
         launch("cubic", grid, planes, lines, out, *numbers, *sizes)
         return out
     values = 0
@@ -108,7 +110,7 @@ def distort(
         out = device.empty((count + values, *shape))
         if _corner(window, shape)[1] != tuple(shape):
             launch("clear", out.shape, out, *out.shape)
-    share = _shares(device, light, border, lit)
+    share = shares(device, light, border, lit) if share is None else device.array(share)
     (top, left), size = _corner(window, shape)
     launch(
         "limited",
@@ -131,8 +133,21 @@ def _corner(window, shape):
     return tuple(span.start for span in spans), tuple(len(span) for span in spans)
 
 
-def _shares(device, light, border, lit):
-    """Return the part of every sample that cubics may interpolate, (rows, cols); 1 outside of the window `lit`."""
+def shares(
+    device: Device, light: Array, border: str, lit: tuple[slice, slice] | None = None
+) -> Array:
+    """Return the part of every sample that cubics may interpolate, (rows, cols); 1 outside of the window `lit`.
+
+    Args:
+        device: The device.
+        light: As for `distort`.
+        border: As for `distort`.
+        lit: As for `distort`.
+    """
+    if device.kind == "numpy":
+        from gpusim.kernels.optics.distort_ref import share_samples
+
+        return share_samples(light, border)
     light = device.array(light)
     channels, rows, cols = light.shape
     around = extend(device, light, border, (3, 3), (rows + 6, cols + 6))
@@ -214,6 +229,13 @@ def cases():
             {"planes": planes, "light": planes[:2], **sampling},
             4e-6 + 4e-7 * far * 4,
             "as below; shares are twice quotients that round by 5e-7, areas round as places do: 2e-6 more",
+        )
+        share = np.clip(random.uniform(0, 2, (rows, cols)), 0, 1).astype(np.float32)
+        yield Case(
+            f"shares, {rows}x{cols}, {maps} maps, {strength:+.2f}, {border}",
+            {"planes": planes, "share": share, **sampling},
+            4e-6 + 4e-7 * far * 4,
+            "as above",
         )
         part = np.s_[rows // 4 : rows - rows // 4, cols // 5 : cols - cols // 8]
         cover = np.zeros((2, rows, cols), np.float32)

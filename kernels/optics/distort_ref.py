@@ -112,7 +112,7 @@ def _area(planes, grid, shape, border, density):
     return density * total
 
 
-def _share(light, border):
+def share_samples(light, border):
     """Return the part of every sample that cubics may interpolate in all channels."""
     rows, cols = light.shape[1:]
     room = 1.0
@@ -152,9 +152,13 @@ def distort(
     cover=None,
     lit=None,
     window=None,
+    share=None,
 ):
     """Return the stage's result, see `distort.py`; `lit` does not change it."""
-    share = 1.0 if light is None or method == "area" else _share(np.asarray(light), border)
+    if share is None:
+        share = (
+            1.0 if light is None or method == "area" else share_samples(np.asarray(light), border)
+        )
     if cover is not None:
         planes = np.asarray(planes, np.float64) * cover[0]
     planes = np.split(np.asarray(planes), len(grids))

@@ -93,6 +93,16 @@ def cubic(
     first_x = x + int(floor_x) - 1
     wy = keys(at[0] - floor_y)
     wx = keys(at[1] - floor_x)
+    if first_y >= 0 and first_x >= 0 and first_y + 4 <= source_rows and first_x + 4 <= source_cols:
+        for p in range(m * per_map, (m + 1) * per_map):  # nearly everywhere
+            total = float(0.0)
+            for a in range(4):
+                row = float(0.0)
+                for b in range(4):
+                    row += wx[b] * planes[p, first_y + a, first_x + b]
+                total += wy[a] * row
+            out[p, y, x] = at[2] * total
+        return
     for p in range(m * per_map, (m + 1) * per_map):
         total = float(0.0)
         for a in range(4):
@@ -329,41 +339,65 @@ def limited(
     first_x = x + int(from_x)
     wy = keys(at[0] - from_y - 1.0)
     wx = keys(at[1] - from_x - 1.0)
-    w = wp.mat44(0.0)
-    of_cover = wp.mat44(0.0)
-    rest = wp.mat44(0.0)
-    overlaps = wp.mat44(0.0)
-    is_partial = bool(False)
-    for i in range(4):
-        sy = inside(first_y + i, source_rows, border)
-        for j in range(4):
-            sx = inside(first_x + j, source_cols, border)
-            part = share[sy, sx]
-            is_partial = is_partial or part < 1.0
-            of_cover[i, j] = wy[i] * wx[j] * part
-            if border != 0 or (sy == first_y + i and sx == first_x + j):
-                w[i, j] = at[2] * of_cover[i, j]
-            rest[i, j] = 1.0 - part
-    if is_partial:
+    least = float(1.0)
+    within = first_y >= 0 and first_x >= 0
+    within = within and first_y + 4 <= source_rows and first_x + 4 <= source_cols
+    if within:
+        for i in range(4):
+            for j in range(4):
+                least = wp.min(least, share[first_y + i, first_x + j])
+    else:
+        for i in range(4):
+            sy = inside(first_y + i, source_rows, border)
+            for j in range(4):
+                least = wp.min(least, share[sy, inside(first_x + j, source_cols, border)])
+    if within and covers == 0 and least >= 1.0:  # nearly everywhere: as `cubic`
+        for p in range(m * per_map, (m + 1) * per_map):
+            total = float(0.0)
+            for i in range(4):
+                row = float(0.0)
+                for j in range(4):
+                    row += wx[j] * planes[p, first_y + i, first_x + j]
+                total += wy[i] * row
+            out[p, y, x] = at[2] * total
+        return
+    c00 = at
+    c10 = at
+    c11 = at
+    c01 = at
+    whole = float(0.0)
+    areas = wp.mat44(0.0)
+    low_a = int(0)  # samples that the quadrilateral touches; others have no area
+    low_b = int(0)
+    end_a = int(0)
+    end_b = int(0)
+    if least < 1.0:
         c00 = place(lines, m, 2 * y, 2 * x, nx, cols)
         c10 = place(lines, m, 2 * y + 2, 2 * x, nx, cols)
         c11 = place(lines, m, 2 * y + 2, 2 * x + 2, nx, cols)
         c01 = place(lines, m, 2 * y, 2 * x + 2, nx, cols)
-        whole = float(0.0)
-        for i in range(4):
-            for j in range(4):
-                one = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
-                overlaps[i, j] = one
-                whole += one
-        for i in range(4):
-            sy = inside(first_y + i, source_rows, border)
-            for j in range(4):
-                more = overlaps[i, j] / whole * rest[i, j]
-                of_cover[i, j] += more
-                if border != 0 or (
-                    sy == first_y + i and inside(first_x + j, source_cols, border) == first_x + j
-                ):
-                    w[i, j] += at[2] * more
+        low_a = wp.max(
+            int(wp.min(wp.min(c00[0], c01[0]), wp.min(c10[0], c11[0]) + 1.0) - from_y), 0
+        )
+        low_b = wp.max(
+            int(wp.min(wp.min(c00[1], c10[1]), wp.min(c01[1], c11[1]) + 1.0) - from_x), 0
+        )
+        high_a = wp.max(wp.max(c00[0], c01[0]), wp.max(c10[0], c11[0]) + 1.0)
+        high_b = wp.max(wp.max(c00[1], c10[1]), wp.max(c01[1], c11[1]) + 1.0)
+        end_a = wp.min(int(wp.ceil(high_a - from_y)), 4)
+        end_b = wp.min(int(wp.ceil(high_b - from_x)), 4)
+        for i in range(low_a, end_a):
+            for j in range(low_b, end_b):
+                areas[i, j] = overlap(c00, c10, c11, c01, from_y + float(i), from_x + float(j))
+                whole += areas[i, j]
+    if whole > 0.0:
+        areas = areas / whole
+    weights = wp.mat44(0.0)  # without J
+    for i in range(4):
+        sy = inside(first_y + i, source_rows, border)
+        for j in range(4):
+            part = share[sy, inside(first_x + j, source_cols, border)]
+            weights[i, j] = wy[i] * wx[j] * part + areas[i, j] * (1.0 - part)
     own = 0  # values of the layer, by the first grid
     if m == 0:
         own = covers
@@ -372,17 +406,21 @@ def limited(
         for i in range(4):
             sy = inside(first_y + i, source_rows, border)
             for j in range(4):
-                total += of_cover[i, j] * cover[p, sy, inside(first_x + j, source_cols, border)]
+                total += weights[i, j] * cover[p, sy, inside(first_x + j, source_cols, border)]
         out[maps * per_map + p, y, x] = total
-    if covers > 0:
-        for i in range(4):
-            sy = inside(first_y + i, source_rows, border)
-            for j in range(4):
-                w[i, j] *= cover[0, sy, inside(first_x + j, source_cols, border)]
+    for i in range(4):
+        sy = inside(first_y + i, source_rows, border)
+        for j in range(4):
+            sx = inside(first_x + j, source_cols, border)
+            if covers > 0:
+                weights[i, j] = weights[i, j] * cover[0, sy, sx]
+            if border == 0 and (sy != first_y + i or sx != first_x + j):
+                weights[i, j] = 0.0
     for p in range(m * per_map, (m + 1) * per_map):
         total = float(0.0)
         for i in range(4):
             sy = inside(first_y + i, source_rows, border)
             for j in range(4):
-                total += w[i, j] * planes[p, sy, inside(first_x + j, source_cols, border)]
-        out[p, y, x] = total
+                sx = inside(first_x + j, source_cols, border)
+                total += weights[i, j] * planes[p, sy, sx]
+        out[p, y, x] = at[2] * total

@@ -378,19 +378,26 @@ def test_what_is_written_is_tagged_and_white_is_the_standards(name, tmp_path):
     encoder = Encoder(codec, (64, 96), rate, PHONE.display, (), 0 if codec.quality else None)
     list(encoder.segment(tmp_path / "0.nut", [values] * 3))
     for suffix in codec.containers:
-        encoder.join(tmp_path / f"a{suffix}", [(0, tmp_path / "0.nut")])
+        if suffix == ".y4m":
+            with open(tmp_path / f"a{suffix}", "wb") as file:
+                for number in range(3):
+                    encoder.write_raw(file.fileno(), number, values)
+        else:
+            encoder.join(tmp_path / f"a{suffix}", [(0, tmp_path / "0.nut")])
         with av.open(str(tmp_path / f"a{suffix}")) as file:
             stream = file.streams.video[0]
             found = stream.codec_context
             tags = found.color_primaries, found.color_trc, found.colorspace, found.color_range
             assert stream.average_rate == rate and (stream.sample_aspect_ratio or 1) == 1
             luma = planes_of(next(file.decode(video=0)))
-        known = {"ffv1-raw": (2, 2, 2, 2), "ffv1-linear": (1, 8, 0, 2)}
+        # the header of a .y4m names only the range
+        known = {"ffv1-raw": (2, 2, 2, 2), "ffv1-linear": (1, 8, 0, 2), "y4m": (2, 2, 2, 1)}
         assert tags == known.get(name, TAGS)
         black, white = {
             "h264": (16, 235),
             "h265": (64, 940),
             "h265-12": (256, 3760),
+            "y4m": (16, 235),
             "ffv1-linear": (0, 65535),
             "ffv1-raw": (0, 1023),
         }[name]

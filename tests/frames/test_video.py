@@ -20,13 +20,15 @@ from PIL import Image
 import gpusim as gs
 from gpusim.apps.video.codecs import CODECS, Encoder
 from gpusim.apps.video.manifest import keep_manifest
-from gpusim.apps.video.pipeline import ahead
+from gpusim.apps.video.pipeline import ahead, in_groups
+from gpusim.apps.video.scenes import Moving, Still
 from gpusim.apps.video.segments import Shard, segments_of
-from gpusim.apps.video.video import within_period
+from gpusim.apps.video.video import frames, within_period
 from gpusim.apps.video.video_frames import Film
 from gpusim.cli.main import main
 from gpusim.data.transfers import TRANSFERS, light_of
 from gpusim.domain.errors import BadFile, OutOfRange
+from gpusim.pipeline.simulator import Simulator
 
 COUNT = 8
 ASKED = ["--camera", "phone", "--seed", "3", "--segment", "3"]
@@ -344,7 +346,13 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_pa
         "unknown codec": [*chart, "-o", mp4, "--codec", "mpeg2"],
         "unknown output format": [*chart, "-o", out / "a.gif"],
         "ffv1-raw in .mp4": [*chart, "-o", mp4, "--codec", "ffv1-raw"],
-        "--quality: only .mp4 and .mkv files are encoded": [*chart, "-o", png, "--quality", "20"],
+        "--quality: only .mp4, .mkv, .y4m files are encoded": [
+            *chart,
+            "-o",
+            png,
+            "--quality",
+            "20",
+        ],
         "up to 2 shards": [*chart, "--frames", "5", "--segment", "4", "--shard", "0/3", "-o", png],
         "frame's period": [*chart, "--exposure", "1/20", "-o", png],
         "not tagged": [untagged, "-o", png],
@@ -536,6 +544,191 @@ def test_a_full_disk_is_one_line(pictures, tmp_path, capsys, monkeypatch):
         tmp_path / "a.mp4",
     )
     assert "No space left" in error and not list(tmp_path.rglob("*.mp4"))
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_uncompressed_video_holds_luma_and_chroma_of_the_frames(device, tmp_path, capsys):
+    """Of BT.709 in limited range, resumed and in parts; another program reads it."""
+    asked = ["deadleaves", "--size", "72x48", "--device", device, "--exposure", "1/50"]
+    asked += ["--frames", "7", "--shake", "2", "--zoom", "1.1", *ASKED]
+    path = tmp_path / "a.y4m"
+    for shard in ("1/2", "0/2"):
+        assert not path.exists()
+        made(capsys, *asked, "-o", path, "--shard", shard)
+    assert [one.name for one in tmp_path.iterdir()] == ["a.y4m"]
+    made(capsys, *asked, "-o", tmp_path / "one.y4m")
+    assert (tmp_path / "one.y4m").read_bytes() == path.read_bytes()
+    made(capsys, *asked, "-o", tmp_path / "a.png")
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        assert stream.average_rate == 30 and stream.codec_context.color_range == 1  # limited
+        found = [frame.to_ndarray() for frame in container.decode(stream)]
+    assert len(found) == 7
+    for number, stored in enumerate(found):
+        rgb = np.asarray(Image.open(tmp_path / f"a_{number:04d}.png")) / 255.0
+        luma = rgb @ (0.2126, 0.7152, 0.0722)
+        # rounded once to codes: half a code, and the scaler's integers another
+        assert np.abs(stored[:48] - (16 + 219 * luma)).max() <= 1
+        means = rgb.reshape(24, 2, 36, 2, 3).mean((1, 3))
+        y = means @ (0.2126, 0.7152, 0.0722)
+        for plane, channel, scale in ((48, 2, 1.8556), (60, 0, 1.5748)):
+            chroma = stored[plane : plane + 12].reshape(24, 36)
+            expected = 128 + 224 * (means[..., channel] - y) / scale
+            # a cubic of the neighbours is not their mean: only the place is judged, by neighbours
+            errors = {
+                shift: np.sqrt(np.mean((chroma - np.roll(expected, shift, 1))[:, 1:-1] ** 2))
+                for shift in (-1, 0, 1)
+            }
+            assert errors[0] < 0.5 * min(errors[-1], errors[1])
+
+
+def test_chroma_of_an_uncompressed_video_lies_between_its_pixels(tmp_path):
+    """As the header says; half a pixel to the left, chroma would be 0.9 codes less."""
+    codes = np.zeros((8, 64, 3), np.uint8)
+    codes[..., 0] = 4 * np.arange(64)
+    encoder = Encoder(CODECS["y4m"], (8, 64), Fraction(30), PHONE.display)
+    path = tmp_path / "a.y4m"
+    with open(path, "wb") as file:
+        encoder.write_raw(file.fileno(), 0, codes)
+    assert b"C420jpeg" in path.read_bytes()[:60]
+    with av.open(str(path)) as container:
+        (stored,) = (frame.to_ndarray() for frame in container.decode(video=0))
+    red = stored[10:].reshape(4, 32)[:, 2:-2]
+    r = (4 * np.arange(64).reshape(32, 2).mean(1) / 255)[2:-2]
+    expected = 128 + 224 * (r - 0.2126 * r) / 1.5748
+    assert abs(np.mean(red - expected)) < 0.3
+
+
+def test_an_uncompressed_video_on_a_full_disk_is_one_line(tmp_path, capsys, monkeypatch):
+    def full(*_):
+        raise OSError(28, os.strerror(28))
+
+    monkeypatch.setattr("gpusim.apps.video.codecs.os.pwrite", full)
+    asked = ["flat", "--size", "40x30", "--camera", "phone", "--device", "numpy"]
+    assert "No space left" in refused(capsys, *asked, "-o", tmp_path / "a.y4m")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".mkv", ".y4m", ".png"])
+def test_what_was_made_before_a_damaged_scene_stays(suffix, pictures, tmp_path, capsys):
+    folder = tmp_path / "scenes"
+    shutil.copytree(pictures, folder)
+    damaged = sorted(folder.iterdir())[7]
+    damaged.write_bytes(damaged.read_bytes()[:2000])
+    asked = [folder, "--device", "numpy", "--exposure", "1/50", *ASKED, "-o"]
+    error = refused(capsys, *asked, tmp_path / f"a{suffix}")
+    assert damaged.name in error and "truncated" in error
+    assert not (tmp_path / f"a{suffix}").exists()
+    assert not [path for path in tmp_path.rglob(".gpusim*")]
+    found = {path.name for path in tmp_path.rglob(f"*{'.png' if suffix == '.png' else '.nut'}")}
+    if suffix == ".png":  # frame 7 is damaged
+        assert found - {path.name for path in folder.iterdir()} == {
+            f"a_{number:04d}.png" for number in range(7)
+        }
+    else:  # segments of three frames
+        assert found == {"00000000.nut", "00000003.nut"}
+
+
+def test_an_interrupt_leaves_nothing_half_written(tmp_path):
+    for suffix in (".mkv", ".y4m", ".png"):
+        asked = ["deadleaves", "--size", "320x240", "--shake", "2", "--zoom", "1.1"]
+        asked += ["--camera", "phone", "--device", "numpy", "--frames", "2000"]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "gpusim", "video", *asked, "-o", str(tmp_path / f"a{suffix}")],
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )
+        time.sleep(4)
+        process.send_signal(signal.SIGINT)
+        _, error = process.communicate(timeout=60)
+        assert process.returncode not in (0, None) and b"Traceback" not in error
+        assert not [path for path in tmp_path.rglob(".gpusim*")]
+        assert not (tmp_path / "a.mkv").exists() and not (tmp_path / "a.y4m").exists()
+    for path in tmp_path.glob("a_*.png"):
+        Image.open(path).load()
+
+
+@pytest.mark.parametrize("has_lamp", [False, True])
+def test_segments_of_views_begin_with_one_plan_if_it_serves(has_lamp, monkeypatch):
+    """With a lamp it does not fit the light of a view: the segment's first frame gets its own."""
+    random = np.random.default_rng(5)
+    picture = random.uniform(0.2, 0.3, (64, 600, 3))
+    if has_lamp:
+        picture[30:33, 530:533] = 300.0
+    scene = gs.scene_from(picture * 1e17, [450, 550, 650])
+    camera = gs.open_camera("phone")
+    camera = replace(camera, sensor=replace(camera.sensor, exposure_time=0.01))
+    simulator = gs.Simulator(camera, device="auto", tolerance="video")
+    moving = Moving(Still(scene, 12), gs.Motion((0.0, 18.0), zoom=3.0), Fraction(1))
+    plans, planned = [], Simulator.plan
+
+    def counted(self, *arguments, **others):
+        plans.append(planned(self, *arguments, **others))
+        return plans[-1]
+
+    monkeypatch.setattr(Simulator, "plan", counted)
+    segments = [[a, *range(a, a + 3)] for a in range(0, 12, 3)]
+    run = [one.values for one in frames(simulator, moving, segments, output="raw")]
+    assert len(plans) == (4 if has_lamp else 1)
+    for number in (3, 9):
+        alone = [[number, *range(number, number + 3)]]
+        for one in frames(simulator, moving, alone, output="raw"):
+            assert np.array_equal(one.values, run[one.number])
+    if has_lamp:
+        for number in (0, 3, 6, 9):
+            shown = next(moving.between(number, number + 1))
+            raw = simulator.loop(shown).output("raw", first=number)
+            assert np.array_equal(simulator.device.numpy(raw), run[number])
+
+
+@pytest.mark.parametrize("fails", ["", "items", "work"])
+def test_groups_are_worked_on_at_the_same_time_and_end_whole(fails):
+    """At most `held` items are at work; an error of the items leaves the groups before whole."""
+    sizes, held, at_work, most, whole, abandoned = [3, 1, 4, 5], 4, set(), [0], [], []
+
+    def items():
+        for number in range(sum(sizes)):
+            if fails == "items" and number == 9:
+                raise BadFile("a", "truncated")
+            at_work.add(number)
+            most[0] = max(most[0], len(at_work))
+            yield number
+
+    def work(group, arriving):
+        done = 0
+        try:
+            for number in arriving:
+                if fails == "work" and number == 5:
+                    raise BadFile("b", "full")
+                time.sleep(0.002)
+                at_work.discard(number)
+                done += 1
+                yield group, number
+            whole.append(group)
+        except BadFile:
+            raise
+        except Exception:
+            abandoned.append(group)
+            raise
+
+    results, error = [], None
+    try:
+        for result in in_groups(items(), sizes, work, workers=2, held=held):
+            results.append(result)
+    except BadFile as found:
+        error = str(found)
+    groups = [group for group, size in enumerate(sizes) for _ in range(size)]
+    # one item more is taken before it waits, and one is counted until its result is taken
+    assert most[0] <= held + 2
+    for group in range(len(sizes)):
+        own = [number for of, number in results if of == group]
+        assert own == sorted(own) and all(groups[number] == group for number in own)
+    if not fails:
+        assert sorted(number for _, number in results) == list(range(13)) and len(whole) == 4
+    elif fails == "items":
+        assert "truncated" in error and sorted(whole) == [0, 1, 2] and abandoned == [3]
+    else:
+        assert "full" in error and 2 not in whole
 
 
 def test_exposure_ends_with_the_frame():

@@ -13,6 +13,7 @@ Colours are tagged: the display's primaries and curve, and for luma and chroma t
 in limited range.
 """
 
+import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from fractions import Fraction
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
+from threading import local
 from typing import Any
 
 import numpy as np
@@ -67,6 +69,8 @@ class Codec:
 
 LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
 PART = ".nut"  # suffix of a segment's file, a container for any encoder
+RAW_FRAME = b"FRAME\n"
+RAW = ".y4m"  # suffix of uncompressed videos
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
 CONTAINERS = (".mp4", ".mkv")
 X264 = ("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")
@@ -77,6 +81,7 @@ CODECS = {
     "h265-12": Codec("libx265", "linear", "yuv420p12le", "yuv444p12le", CONTAINERS, X265, "crf"),
     "ffv1-raw": Codec("ffv1", "raw", "gray16le", "gray16le", (".mkv",), LOSSLESS),
     "ffv1-linear": Codec("ffv1", "linear", "gbrp16le", "gbrp16le", (".mkv",), LOSSLESS),
+    "y4m": Codec("rawvideo", "codes", "yuv420p", "rgb24", (RAW,), ()),
 }
 
 
@@ -95,7 +100,13 @@ def pyav():
 
 
 def converter(
-    scale: str, stored: str, width: int, height: int, given: Any, time_base: Fraction
+    scale: str,
+    stored: str,
+    width: int,
+    height: int,
+    given: Any,
+    time_base: Fraction,
+    threads: int = 0,
 ) -> Callable:
     """Return a function that converts frames to another pixel format.
 
@@ -106,8 +117,10 @@ def converter(
         height: Rows of the frames.
         given: VideoFormat of the frames.
         time_base: Time base of the frames [s].
+        threads: Threads of a conversion. 0: one for each processor core.
     """
     graph = pyav().filter.Graph()
+    graph.threads = threads
     parts = [
         graph.add_buffer(width=width, height=height, format=given, time_base=time_base),
         graph.add("scale", scale),
@@ -141,13 +154,14 @@ def codec_of(path: Path, name: str | None) -> Codec:
 
     Args:
         path: Path of the file.
-        name: Name of CODECS. None: h264.
+        name: Name of CODECS. None: h264, or y4m for its files.
 
     Raises:
         UnknownName, OutOfRange: If there is no such codec, or the file cannot hold it.
         GpusimError: If PyAV does not have its encoder.
     """
-    name = "h264" if name is None else name
+    if name is None:
+        name = "y4m" if path.suffix.lower() == RAW else "h264"
     if name not in CODECS:
         raise UnknownName("codec", name, CODECS)
     codec, known = CODECS[name], pyav().codecs_available
@@ -161,6 +175,11 @@ def codec_of(path: Path, name: str | None) -> Codec:
             f"{', '.join(there) or 'none of the codecs'}"
         )
     return codec
+
+
+def _rows(plane, channels) -> np.ndarray:
+    """Return the memory of a plane of bytes, (rows, channels times columns)."""
+    return np.frombuffer(plane, np.uint8).reshape(plane.height, -1)[:, : channels * plane.width]
 
 
 class Encoder:
@@ -195,9 +214,12 @@ class Encoder:
             allowed = f"{LEAST_H265} columns and rows or more, or --codec h264"
             raise OutOfRange("frame size of h265", f"{cols}x{rows}", allowed)
         if quality is not None and not codec.quality:
-            raise Conflict("--quality", "ffv1 is lossless", "leave it out")
+            is_raw = codec.encoder == "rawvideo"
+            reason = "an uncompressed video has none" if is_raw else "ffv1 is lossless"
+            raise Conflict("--quality", reason, "leave it out")
         self.codec, self.rate, self.shape = codec, rate, shape
         self._display, self._tone = display, tone
+        self._threads = local()
         self._options = dict(codec.options)
         if quality is not None:
             self._options[codec.quality] = f"{quality:g}"
@@ -217,6 +239,53 @@ class Encoder:
                 container.mux(stream.encode(change(frame)))
                 yield number
             container.mux(stream.encode(None))
+
+    @property
+    def frame_bytes(self) -> int:
+        """Bytes of a frame before it is encoded."""
+        rows, cols = self.shape
+        return rows * cols * {"codes": 3, "raw": 2}.get(self.codec.output, 12)
+
+    @cached_property
+    def _raw_header(self):
+        """Header of an uncompressed video. Source: the manual page yuv4mpeg(5) of mjpegtools.
+
+        Chroma lies between the pixels that it is the mean of, as in JPEG.
+        """
+        rows, cols = self.shape
+        rate = f"{self.rate.numerator}:{self.rate.denominator}"
+        return (
+            f"YUV4MPEG2 W{cols} H{rows} F{rate} Ip A1:1 C420jpeg XYSCSS=420JPEG "
+            "XCOLORRANGE=LIMITED\n"
+        ).encode()
+
+    def raw_place(self, number: int) -> int:
+        """Return the first byte of a frame in an uncompressed video."""
+        rows, cols = self.shape
+        return len(self._raw_header) + number * (len(RAW_FRAME) + rows * cols * 3 // 2)
+
+    def write_raw(self, file: int, number: int, values: np.ndarray) -> None:
+        """Write a frame to its place in an uncompressed video, in any thread.
+
+        Args:
+            file: Number of the open file.
+            number: Number of the frame.
+            values: Codes (rows, cols, 3).
+        """
+        av = pyav()
+        if not hasattr(self._threads, "change"):
+            self._threads.change = self._converter(av, threads=1)
+        frame = self._frame(av, values)
+        frame.pts, frame.time_base = number, 1 / self.rate
+        changed = self._threads.change(frame)
+        before = b"" if number else self._raw_header
+        parts = [np.frombuffer(before + RAW_FRAME, np.uint8)]
+        parts += [np.ravel(_rows(plane, 1)) for plane in changed.planes]
+        data: Any = np.concatenate(parts)
+        place = self.raw_place(number) - len(before)
+        while len(data):
+            done = os.pwrite(file, data, place)
+            data, place = data[done:], place + done
 
     def join(self, path: Path, parts: list[tuple[int, Path]]):
         """Join the files of segments, each with the number of its first frame. Raises BadFile."""
@@ -269,13 +338,13 @@ class Encoder:
             tags = known, curve, BT709, LIMITED
         context.color_primaries, context.color_trc, context.colorspace, context.color_range = tags
 
-    def _converter(self, av):
+    def _converter(self, av, threads=0):
         """Return a function from a frame in the given format to one in the stored format."""
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
         (rows, cols), given = self.shape, av.VideoFormat(self.codec.given)
         words = TO_LUMA if self.codec.given == "rgb24" else TO_HALF_CHROMA
-        return converter(words, self.codec.stored, cols, rows, given, 1 / self.rate)
+        return converter(words, self.codec.stored, cols, rows, given, 1 / self.rate, threads)
 
     def _frame(self, av, values):
         """Return a frame in the given format."""
@@ -283,7 +352,13 @@ class Encoder:
             values = np.rint(np.clip(values, 0, 1) * np.float32(65535)).astype(np.uint16)
         elif self.codec.output == "linear":
             return self._luma_and_chroma(av, values)
-        return av.VideoFrame.from_ndarray(np.ascontiguousarray(values), format=self.codec.given)
+        if self.codec.given != "rgb24":
+            return av.VideoFrame.from_ndarray(np.ascontiguousarray(values), format=self.codec.given)
+        rows, cols = self.shape
+        frame = av.VideoFrame(cols, rows, self.codec.given)
+        # NumPy lets other threads run, `from_ndarray` does not
+        _rows(frame.planes[0], 3)[:] = values.reshape(rows, -1)
+        return frame
 
     def _luma_and_chroma(self, av, values):
         """Return a frame of luma and chroma in limited range: black 16, white 235 at 8 bits.

@@ -98,6 +98,9 @@ class Moving:
         actors: Pictures that move in front of the scenes.
         camera: The camera, for its focal length, if it travels.
 
+    Attributes:
+        is_one_scene: Whether all frames are views of one scene.
+
     Raises:
         BadData, OutOfRange: If the view leaves the scene.
     """
@@ -117,6 +120,7 @@ class Moving:
         self.flicker, self.actors, self._camera = flicker, actors, camera
         self.count, self.names = scenes.count, scenes.names
         self.rate = scenes.rate
+        self.is_one_scene = scenes.is_still and not actors and camera is None
         for number in (0, self.count - 1):
             motion.at(number * self.period)  # raises before the work
 

@@ -2,11 +2,12 @@
 
 import glob
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from contextlib import closing
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from fractions import Fraction
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ import numpy as np
 from gpusim.apps.video.codecs import PART, Encoder
 from gpusim.apps.video.loops import NO_LOOPS, Loops
 from gpusim.apps.video.manifest import PARTS
-from gpusim.apps.video.pipeline import ahead
+from gpusim.apps.video.pipeline import Clock, ahead, in_groups, in_pool
 from gpusim.apps.video.ramps import Ramps
 from gpusim.apps.video.scenes import Moving, Scenes
 from gpusim.apps.video.segments import numbered_path
@@ -24,12 +25,22 @@ from gpusim.captures.capture import Capture, Light
 from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import Conflict, OutOfRange
+from gpusim.domain.errors import BadFile, Conflict, OutOfRange
+from gpusim.io.frame.frames import JPEG, RAW_ARRAY, suffix_of
 from gpusim.pipeline.exposure import Exposure
+from gpusim.pipeline.frame import Frame, Parts
 from gpusim.pipeline.simulator import Simulator
 
 NO_RAMPS, ONE_FRAME = Ramps(), Capture()
 READ, COMPUTED = 2, 3  # scenes and frames that are computed ahead
+HELD = 2**30  # [byte] of frames that wait for their encoders, at most
+THREADS = 4  # of an encoder; as many cores work for each segment that is encoded at the same time
+# the part of a frame that a file of this suffix holds, if it is one of OUTPUT_OF
+PART_OF = dict.fromkeys((".png", *JPEG), "rgb") | dict.fromkeys(
+    (".tif", ".tiff", ".exr", ".npy"), "linear"
+)
+OUTPUT_OF = {"rgb": "codes", "linear": "linear"}
+PARTS_OF = {".dng": ("raw", "rendering"), ".npz": ("mean", "raw"), RAW_ARRAY: ("raw",)}
 
 
 @dataclass(frozen=True)
@@ -38,7 +49,7 @@ class Made:
 
     Attributes:
         number: Number of the frame.
-        values: A Frame, or an array for a codec.
+        values: A Frame; for a codec an array, or a function that waits for it.
         account: Predicted errors.
         exposure_time: Exposure time [s].
         gain: Analog gain in addition to the sensor's.
@@ -90,6 +101,9 @@ def frames(
     output: str | None = None,
     ramps: Ramps = NO_RAMPS,
     loops: Loops = NO_LOOPS,
+    parts: tuple[str, ...] = (),
+    late: bool = False,
+    clock: Clock | None = None,
 ) -> Iterator[Made]:
     """Yield the wanted frames of each segment, in order.
 
@@ -104,29 +118,51 @@ def frames(
         output: Output of `Simulator.stream`. None: a Frame.
         ramps: Settings that change over all frames.
         loops: Settings of the camera's control loops for all frames.
+        parts: Parts that a Frame has. (): all.
+        late: Give functions that return an output, in any thread: nothing waits for the copy here.
+        clock: Clock for the part "scenes", the time that frames wait for their scenes.
     """
-    loop, last = None, max(scenes.count - 1, 1)
+    loop: Any = None
+    last = max(scenes.count - 1, 1)
+    wanted_of = {"seed": seed, "output": output, "parts": parts, "late": late}
+    clock = clock or Clock()
     meters = simulator.camera.sensor.exposure_time is None and loops.seconds is None
+
+    def operated(shown, number):
+        """Return the scene of a frame, its camera, and arguments of `Loop.update`."""
+        scene = ramps.scene(shown, number / last)
+        camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
+        return scene, camera, loops.operation(camera, number)
+
+    # views of one scene: every segment begins with the plan of the first frame
+    planned: tuple | None = None  # the plan and its camera
+    if isinstance(scenes, Moving) and scenes.is_one_scene and not ramps.ranges:
+        begin, camera, operation = operated(next(scenes.between(0, 1)), 0)
+        loop = simulator.update(camera).loop(begin, meters_late=meters, **operation)
+        planned = loop.plan, camera
     for first, *wanted in segments:
         if scenes.is_still and not ramps.ranges and loops == NO_LOOPS:
             loop = loop or simulator.loop(next(scenes.between(0, 1)))
-            yield from (_make_frame(loop, number, seed, output) for number in wanted)
+            yield from (_make_frame(loop, number, **wanted_of) for number in wanted)
             continue
         lead = first - (meters and first > 0)
-        with closing(ahead(scenes.between(lead, wanted[-1] + 1), READ)) as arriving:
+        coming = clock.each("scenes", ahead(scenes.between(lead, wanted[-1] + 1), READ))
+        with closing(coming) as arriving:
             for number, shown in enumerate(arriving, lead):
-                scene = ramps.scene(shown, number / last)
-                camera = loops.camera(ramps.camera(simulator.camera, number / last), number)
-                operation = loops.operation(camera, number)
-                if number == lead or loop is None:
-                    own = simulator.update(camera)
-                    loop = own.loop(scene, meters_late=meters, **operation)
+                scene, camera, operation = operated(shown, number)
+                if number == lead and planned:
+                    loop.restart(*planned)
+                    scene = scene if number else begin
+                if loop is None or (number == lead and not planned):
+                    loop = simulator.update(camera).loop(scene, meters_late=meters, **operation)
                 else:
                     if camera is not loop.simulator.camera:
                         operation["camera"] = camera
                     loop.update(scene=scene, **operation)
+                if number == lead and planned:
+                    loop.settle()
                 # even an unwanted one: the next frame meters it
-                made = _make_frame(loop, number, seed, output)
+                made = _make_frame(loop, number, **wanted_of)
                 if number in wanted:
                     yield made
         if loop is not None:
@@ -144,6 +180,9 @@ def captured_frames(
     loops: Loops = NO_LOOPS,
     capture: Capture = ONE_FRAME,
     blur: bool = True,
+    parts: tuple[str, ...] = (),
+    late: bool = False,
+    clock: Clock | None = None,
 ) -> Iterator[Made]:
     """Yield frames with motion blur, rolling shutter and flicker, or merged captures; see `frames`.
 
@@ -159,6 +198,9 @@ def captured_frames(
         loops: As for `frames`.
         capture: Capture of each frame. Movement and flicker are the scenes'.
         blur: Whether scenes move during a capture; False shows each as it is at its start.
+        parts: Not used: a Frame has all parts.
+        late: As for `frames`.
+        clock: As for `frames`.
 
     Raises:
         Conflict: The capture has several frames that are not merged.
@@ -166,7 +208,7 @@ def captured_frames(
     if capture.has_frames:
         reason = "a video shows one frame of each scene"
         raise Conflict("capture", reason, "merge its frames")
-    last, still = max(scenes.count - 1, 1), simulator
+    last, still, clock = max(scenes.count - 1, 1), simulator, clock or Clock()
     moving = scenes if blur and isinstance(scenes, Moving) else None
     if moving is not None:
         capture = replace(
@@ -175,7 +217,9 @@ def captured_frames(
     source: Scenes = scenes if moving is None else moving.still
     for _, *wanted in segments:
         for number in wanted:
-            scene: Any = ramps.scene(next(source.between(number, number + 1)), number / last)
+            with clock.of("scenes"):
+                shown = next(source.between(number, number + 1))
+            scene: Any = ramps.scene(shown, number / last)
             if moving is not None and moving.actors:
                 scene = Animation(scene, moving.actors)
             camera = loops.camera(ramps.camera(still.camera, number / last), number)
@@ -191,26 +235,77 @@ def captured_frames(
                 if output is not None:
                     values = {"raw": values.raw, "codes": values.rgb}.get(output, values.linear)
             else:
-                values = _on_host(simulator, shots[0].output(output), output)
+                values = _fetch(simulator, shots[0].output(output), output)()
+            if late and output is not None:
+                values = partial(_same, values)
             account = exposure.plan.account.at(exposure.exposure_time)
             yield Made.of(number, values, account, exposure)
 
 
-def _make_frame(loop, number, seed, output):
+def _same(values):
+    return values
+
+
+def _make_frame(loop, number, *, seed, output, parts, late):
     """Return a frame of a loop."""
     account, exposure = loop.account, loop.expose()
-    if output is None:
-        values = loop.frame(seed=seed, first=number).complete()
+    values: Any
+    if output is not None:
+        values = _fetch(loop.simulator, loop.output(output, seed=seed, first=number), output)
+        values = values if late else values()
+    elif len(parts) == 1 and parts[0] in OUTPUT_OF:
+        loop.settle()  # as `Loop.frame` does
+        exposure, output = loop.expose(), OUTPUT_OF[parts[0]]
+        found = _fetch(loop.simulator, loop.output(output, seed=seed, first=number), output)
+        values = _picture(exposure, parts[0], found)
     else:
-        values = loop.output(output, seed=seed, first=number)
-        values = _on_host(loop.simulator, values, output)
+        values = loop.frame(seed=seed, first=number)
+        for part in parts:
+            getattr(values, part)
+        values = values if parts else values.complete()
     return Made.of(number, values, account, exposure)
 
 
-def _on_host(simulator: Simulator, values, output):
-    """Return a host copy of an output, with the channels of linear light last."""
-    copied = np.array(simulator.device.numpy(values))
-    return np.moveaxis(copied, 0, -1) if output == "linear" else copied
+class _Fetched(Parts):
+    """A part of a frame that a function returns."""
+
+    def __init__(self, found: Callable):
+        self._found = found
+
+    def compute(self, name, frame):
+        """See `Parts`."""
+        return self._found()
+
+
+def _picture(exposure, part, found) -> Frame:
+    """Return a frame that has only one part. found: function that returns it."""
+    others: dict[str, Any] = dict.fromkeys(("rendering", "mean", "raw", "linear", "rgb", "report"))
+    others[part] = _Fetched(found)
+    return Frame(exposure.camera, exposure.exposure_time, labels={}, **others)
+
+
+def _fetch(simulator: Simulator, values, output) -> Callable[[], np.ndarray]:
+    """Begin to copy an output to the host; call the result for it. Linear light has its channels last."""
+    device = simulator.device
+    if device.on_host or device.kind == "numpy":  # the next frame is written to the same memory
+        copied = np.array(device.numpy(values))
+        found: Callable = partial(_same, copied)
+    else:
+        found = device.fetch(values)
+    return (lambda: np.moveaxis(found(), 0, -1)) if output == "linear" else found
+
+
+def count_cores() -> int:
+    """Return the number of processor cores that this process may use."""
+    try:
+        return len(os.sched_getaffinity(0))
+    except AttributeError:  # not on every system
+        return os.cpu_count() or 1
+
+
+def _arrived(one: Made) -> Made:
+    """Return a frame with its values, which are waited for."""
+    return replace(one, values=one.values())
 
 
 class NumberedFiles:
@@ -240,12 +335,13 @@ class NumberedFiles:
         """Return the path of a frame."""
         return numbered_path(self._path, number, self._count)
 
-    def write(self, make: Callable, segments: list[range]) -> Iterator[Made]:
-        """Write the missing frames of the segments; yield each written one.
+    def write(self, make: Callable, segments: list[range], clock: Clock) -> Iterator[Made]:
+        """Write the missing frames of the segments; yield each written one, without its values.
 
         Args:
             make: `frames` or `captured_frames` of a simulator and its scenes.
             segments: Segments to write.
+            clock: Clock for the parts "frames", the time that files wait for them, and "scenes".
 
         Raises:
             GpusimError: As `Frame.save` does.
@@ -255,24 +351,16 @@ class NumberedFiles:
             for segment in segments
         ]
         missing = [segment for segment in missing if len(segment) > 1]
-        workers = os.cpu_count() or 1
-        made = ahead(make(missing), COMPUTED)
-        with ThreadPoolExecutor(workers) as pool, closing(made) as computed:
-            writing: dict = {}
-            for one in computed:
-                writing[pool.submit(one.values.save, self.name(one.number))] = one
-                while len(writing) > workers:
-                    done = wait(writing, return_when=FIRST_COMPLETED).done
-                    yield from _finish_tasks(writing, done)
-            yield from _finish_tasks(writing, wait(writing).done)
-
-
-def _finish_tasks(writing, done):
-    """Yield the frames of finished tasks, in order."""
-    for task in sorted(done, key=lambda task: writing[task].number):
-        one = writing.pop(task)
-        task.result()  # raises the error of the task
-        yield one
+        suffix = suffix_of(self._path).lower()
+        parts = (PART_OF[suffix],) if suffix in PART_OF else PARTS_OF.get(suffix, ())
+        made = ahead(make(missing, parts=parts, clock=clock), COMPUTED)
+        with closing(clock.each("frames", made)) as computed:
+            written = in_pool(
+                computed, lambda one: one.values.save(self.name(one.number)), count_cores()
+            )
+            with closing(written):
+                for one in written:
+                    yield replace(one, values=None)
 
 
 class EncodedFile:
@@ -311,17 +399,32 @@ class EncodedFile:
         """Return the file of a segment."""
         return self.folder / f"{segment.start:08d}{PART}"
 
-    def write(self, make: Callable, segments: list[range]) -> Iterator[Made]:
-        """Encode the missing segments; yield each encoded frame. Raises BadFile.
+    def write(self, make: Callable, segments: list[range], clock: Clock) -> Iterator[Made]:
+        """Encode the missing segments, several at a time; yield each encoded frame. Raises BadFile.
 
-        make, segments: as for `NumberedFiles.write`.
+        make, segments, clock: as for `NumberedFiles.write`.
         """
         missing = [segment for segment in segments if not self.part(segment).exists()]
-        parts = [[part.start, *part] for part in missing]
-        made = make(parts, output=self._encoder.codec.output)
-        with closing(ahead(made, COMPUTED)) as computed:
-            for segment in missing:
-                yield from self._encode(segment, computed)
+        with closing(self._compute(make, missing, clock)) as computed:
+            encoded = in_groups(
+                computed,
+                [len(segment) for segment in missing],
+                lambda number, arriving: self._encode(missing[number], map(_arrived, arriving)),
+                workers=max(count_cores() // THREADS, 2),
+                held=max(HELD // self._encoder.frame_bytes, 2 * COMPUTED),
+            )
+            with closing(encoded):
+                yield from encoded
+
+    def _compute(self, make, missing, clock):
+        """Yield the frames of the missing segments."""
+        made = make(
+            [[part.start, *part] for part in missing],
+            output=self._encoder.codec.output,
+            late=True,
+            clock=clock,
+        )
+        return clock.each("frames", ahead(made, COMPUTED))
 
     def _encode(self, segment, computed):
         """Encode a segment; yield each of its frames."""
@@ -356,3 +459,62 @@ class EncodedFile:
         for path in self.folder.iterdir():
             path.unlink()
         self.folder.rmdir()
+
+
+class RawFile(EncodedFile):
+    """A video whose frames all take the same number of bytes: .y4m.
+
+    Threads write them to their places in one file, in the folder of the incomplete work. An empty
+    file marks a complete segment.
+    """
+
+    @property
+    def _frames(self):
+        return self.folder / f"frames{self.path.suffix}"
+
+    def write(self, make: Callable, segments: list[range], clock: Clock) -> Iterator[Made]:
+        """See `EncodedFile.write`."""
+        missing = [segment for segment in segments if not self.part(segment).exists()]
+        ends = {number: segment for segment in missing for number in segment}
+        left = Counter({segment.start: len(segment) for segment in missing})
+        with self._writing(segments) as file, closing(self._compute(make, missing, clock)) as made:
+
+            def write(one):
+                self._encoder.write_raw(file, one.number, one.values())
+
+            with closing(in_pool(made, write, count_cores())) as written:
+                for one in written:
+                    segment = ends[one.number]
+                    left[segment.start] -= 1
+                    if not left[segment.start]:
+                        self.part(segment).touch()
+                    yield replace(one, values=None)
+
+    @contextmanager
+    def _writing(self, segments):
+        """Yield the number of the open file; errors become BadFile.
+
+        If no segment becomes complete, the file is removed, unless other shards may use it.
+        """
+        file = None
+        try:
+            file = os.open(self._frames, os.O_RDWR | os.O_CREAT, 0o666)
+            yield file
+        except OSError as error:
+            raise BadFile(self.path, f"cannot be written: {error.strerror or error}") from error
+        finally:
+            if file is not None:
+                os.close(file)
+            if self.is_empty() and segments == self._segments:
+                with suppress(OSError):
+                    self._frames.unlink(missing_ok=True)
+
+    def finish(self) -> bool:
+        """Give the file its name if all segments exist. Return whether they do. Raises BadFile."""
+        if not self._is_complete():
+            return False
+        with self._writing(()) as file:
+            os.truncate(file, self._encoder.raw_place(self._segments[-1][-1] + 1))
+            os.replace(self._frames, self.path)
+        self._remove_segments()
+        return True
