@@ -12,6 +12,7 @@ from gpusim.backends import Device
 from gpusim.backends.tape import Tape, recording
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
+from gpusim.optics.blas import one_core
 from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 
@@ -107,7 +108,7 @@ class Cache:
                 tape.replay()
                 value = found[1]
             else:
-                with recording(tape):
+                with recording(tape), one_core():
                     value = function(*args, **kwargs, **numbers)
         except BaseException:
             if tape is not None:  # its arrays may be half written

@@ -14,6 +14,7 @@ from gpusim.domain.content import Content
 from gpusim.domain.digest import digest
 from gpusim.domain.scene import Scene
 from gpusim.domain.short_repr import shorten_repr
+from gpusim.optics.blas import one_core
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import Watch
@@ -335,6 +336,7 @@ class Plan:
         return replace(self, scene=scene, planned_for=self.scene.name, account=account)
 
 
+@one_core()
 def plan(
     scene: Scene,
     camera: Camera,

@@ -34,7 +34,7 @@ from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
-from gpusim.optics.memo import multiply_wide
+from gpusim.optics.memo import multiply
 
 # of tiles transformed at once on a CPU: its caches; a GPU takes 64 times as much
 BATCH_BYTES = 2**22
@@ -288,7 +288,7 @@ def _on_host(device, it):
                     ends = np.linspace(0, by_kernel.shape[1], threads + 1).astype(int)
                     pieces = [slice(a, b) for a, b in itertools.pairwise(ends)]
                     parts = [[whole[:, one] for one in pieces] for whole in (by_kernel, combined)]
-                    list(pool.map(functools.partial(multiply_wide, weights), *parts))
+                    list(pool.map(functools.partial(multiply, weights), *parts))
                     chosen = combined.view(np.complex64)
                     chosen = chosen.reshape(len(some), len(used), *tables.shape[1:])
                 jobs = [(first + k, t, used, chosen[k]) for k, t in enumerate(some)]
