@@ -81,7 +81,7 @@ class Filters:
         order = "RGB" + "".join(letter for letter in letters if len(letter) == 1)
         channels = tuple(sorted(used, key=(order + "".join(DERIVED)).index))
         derived = [letter for letter in channels if letter not in letters]
-        table = self._extended() if "N" in derived else self.table
+        table = self._extend() if "N" in derived else self.table
         own = dict(zip(letters, table.values, strict=True))
         for letter in derived:
             kind = (
@@ -134,7 +134,7 @@ class Filters:
             return self.peak / highest
         return 1 / highest if highest > 1 else 1.0
 
-    def _extended(self):
+    def _extend(self):
         """Return the table as far as the near infrared: 0 beyond its ends."""
         nodes, first = self.table.wavelengths, self.table.wavelengths[-1]
         low, full, last = NEAR_INFRARED

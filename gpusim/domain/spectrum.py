@@ -176,7 +176,7 @@ def photons_from_energy(spectrum: Spectrum) -> Spectrum:
     A spectrum is linear between its entries, and so is the result: gaps wider than COARSE get
     entries. Raises BadData if the quantity is no energy.
     """
-    return _converted(spectrum, PHOTONS, {ENERGY: PHOTONS, RELATIVE: ""})
+    return _convert(spectrum, PHOTONS, {ENERGY: PHOTONS, RELATIVE: ""})
 
 
 def energy_from_photons(spectrum: Spectrum) -> Spectrum:
@@ -184,10 +184,10 @@ def energy_from_photons(spectrum: Spectrum) -> Spectrum:
 
     See `photons_from_energy`. Raises BadData if the quantity is no number of photons.
     """
-    return _converted(spectrum, ENERGY, {PHOTONS: ENERGY})
+    return _convert(spectrum, ENERGY, {PHOTONS: ENERGY})
 
 
-def _converted(spectrum, to, quantities):
+def _convert(spectrum, to, quantities):
     """Return a spectrum as photons or energy; quantities: that it may have, and what they become."""
     own = spectrum.quantity
     if own and own not in quantities:
@@ -196,14 +196,14 @@ def _converted(spectrum, to, quantities):
         )
     nodes = spectrum.wavelengths
     if np.diff(nodes).max() > COARSE:
-        nodes = np.unique(np.concatenate([nodes, *map(_filled, nodes[:-1], nodes[1:])]))
+        nodes = np.unique(np.concatenate([nodes, *map(_fill, nodes[:-1], nodes[1:])]))
     per_photon = energy_per_photon(nodes)
     values = spectrum.at(nodes) if nodes is not spectrum.wavelengths else spectrum.values
     values = values / per_photon if to == PHOTONS else values * per_photon
     return Spectrum(nodes, values, spectrum.name, quantities.get(own, ""))
 
 
-def _filled(first, last):
+def _fill(first, last):
     """Return the entries that a gap between two wavelengths [nm] gets."""
     if last - first <= COARSE:
         return np.empty(0)

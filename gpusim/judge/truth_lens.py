@@ -69,7 +69,7 @@ def transfer_of(optics: Optics, wavelength, pitch):
         includes the pixels.
     """
     if optics.psf is not None:
-        return _measured(optics.psf, wavelength, pitch, optics.object_distance)
+        return _measure(optics.psf, wavelength, pitch, optics.object_distance)
     q = wavelength * 1e-9 * optics.working_f_number / pitch
     waves = optics.waves(np.array([wavelength]))
     if optics.is_ideal:
@@ -93,7 +93,7 @@ def transfer_of(optics: Optics, wavelength, pitch):
     return transfer, 1 / q
 
 
-def _measured(spread, wavelength, pitch, distance):
+def _measure(spread, wavelength, pitch, distance):
     """Return the same for a given point spread.
 
     Its samples are of a function without frequencies beyond half the sampling rate.

@@ -460,7 +460,7 @@ def _bounds(sheets, pupil, bent=0.0):
     for sheet in reversed(sheets):
         reach = int(np.ceil(np.abs(sheet.radius).max() + bent + 0.5))
         sharp = np.abs(sheet.radius) + bent <= SHARP
-        spread = partial(_half_range, reach=reach) if bent else partial(_widened, widen, reach)
+        spread = partial(_half_range, reach=reach) if bent else partial(_widen, widen, reach)
         varies = np.where(sharp, 0, spread(sheet.alpha))
         light_varies = np.where(sharp, 0, spread(sheet.light))
         clear = np.where(sharp | (varies == 0), 1 - sheet.alpha, 1)
@@ -485,7 +485,7 @@ def _brightest(values, reach):
     return most[np.ix_(rows, cols)]
 
 
-def _widened(widen, reach, values):
+def _widen(widen, reach, values):
     """Largest standard deviation within the pupil."""
     return widen * _deviation(values, reach)
 

@@ -149,7 +149,7 @@ def _cameras(table) -> Mapping[Any, dict]:
     if _is_camera(table):
         return {"cam0": table}
     if table.keys() >= {*PLACE}:
-        return {"cam0": _grouped(table)}
+        return {"cam0": _group(table)}
     slam = _orb_slam(table)
     if slam:
         return slam
@@ -171,10 +171,10 @@ def _orb_slam(table):
             parts.setdefault(name, {})[rest] = value
     common = parts.get("Camera", {})
     found = {name: {**common, **part} for name, part in parts.items() if "fx" in part}
-    return {name: _grouped(part) for name, part in found.items()}
+    return {name: _group(part) for name, part in found.items()}
 
 
-def _grouped(table):
+def _group(table):
     """Return a table whose parameters by name are together, as Basalt has them."""
     names = [key for key in table if key in PLACE or COEFFICIENT.fullmatch(str(key))]
     others = {key: value for key, value in table.items() if key not in names}

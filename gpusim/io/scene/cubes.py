@@ -68,12 +68,12 @@ def read_cube(
     if key is not None:
         cubes = [_named(path, values, key)]
         if len(_lengths(cubes[0])) != 3 and (wavelengths is None or len(wavelengths) != 1):
-            why = f"{cubes[0].label}: {_described(cubes[0])}, wanted an array of three axes"
+            why = f"{cubes[0].label}: {_describe(cubes[0])}, wanted an array of three axes"
             raise BadFile(path, why)
     else:
         cubes = [one for one in values if one.kind == "numbers" and len(_lengths(one)) == 3]
     if not cubes:
-        raise BadFile(path, f"no cube, an array of three axes; it holds {_listed(values)}")
+        raise BadFile(path, f"no cube, an array of three axes; it holds {_list(values)}")
     found = [(cube, _wavelengths(path, cube, values, root, wavelengths)) for cube in cubes]
     found = [(cube, waves) for cube, waves in found if waves is not None]
     if len(found) != 1:
@@ -100,13 +100,13 @@ def _lengths(value):
     return shape if len(shape) == 3 else tuple(length for length in shape if length > 1)
 
 
-def _listed(values):
+def _list(values):
     """Return names and shapes of values for errors."""
-    words = [f"{one.label} ({_described(one)})" for one in values]
+    words = [f"{one.label} ({_describe(one)})" for one in values]
     return note_of("", words)[0][2:] if words else "nothing"
 
 
-def _described(value):
+def _describe(value):
     shape = " x ".join(map(str, value.shape))
     return shape if value.kind == "numbers" else value.kind
 
@@ -128,7 +128,7 @@ def _named(path, values, key):
     ]
     if len(found) != 1:
         why = f"several values are named {key!r}" if found else f"no value is named {key!r}"
-        raise BadFile(path, f"{why}; it holds {_listed(found or values)}")
+        raise BadFile(path, f"{why}; it holds {_list(found or values)}")
     if found[0].kind != "numbers":
         raise BadFile(path, f"{found[0].label}: {found[0].kind}, wanted real numbers of three axes")
     return found[0]
@@ -139,12 +139,12 @@ def _refuse_choice(path, cubes, found, wavelengths):
     if found:
         raise BadFile(
             path,
-            f"{len(found)} cubes: {_listed([cube for cube, _ in found])}; choose one by "
+            f"{len(found)} cubes: {_list([cube for cube, _ in found])}; choose one by "
             f'key="{found[0][0].label}" or --key',
         )
     if wavelengths is None:
-        raise BadFile(path, f"no wavelengths for the bands of {_listed(cubes)}; {SAY_WAVELENGTHS}")
-    why = f"{len(wavelengths)} wavelengths, but no axis of that length in {_listed(cubes)}"
+        raise BadFile(path, f"no wavelengths for the bands of {_list(cubes)}; {SAY_WAVELENGTHS}")
+    why = f"{len(wavelengths)} wavelengths, but no axis of that length in {_list(cubes)}"
     raise BadFile(path, why)
 
 
@@ -256,10 +256,10 @@ def _axis(path, cube, count):
     if len(axes) == 1:
         return axes[0], []
     if cube.rows_first and axes[-1] == 2:
-        return 2, [f"{cube.label}: {_described(cube)}; the last axis is taken for the bands"]
+        return 2, [f"{cube.label}: {_describe(cube)}; the last axis is taken for the bands"]
     raise BadFile(
         path,
-        f"{cube.label}: {_described(cube)} for {count} wavelengths: the axis of the bands is not "
+        f"{cube.label}: {_describe(cube)} for {count} wavelengths: the axis of the bands is not "
         "known; use gpusim.scene_from(array, axis=...)",
     )
 
@@ -270,7 +270,7 @@ def _read(path, root, cube, waves, kind, scale):
     if len(waves) == 1 and len(shape) == 2:
         shape = (*shape, 1)
     if len(shape) != 3:
-        raise BadFile(path, f"{cube.label}: {_described(cube)}, wanted an array of three axes")
+        raise BadFile(path, f"{cube.label}: {_describe(cube)}, wanted an array of three axes")
     axis, notes = (2, []) if shape != _lengths(cube) else _axis(path, cube, len(waves))
     attributes = cube.attributes()
     fields = Fields(attributes, f"attributes of {cube.label} not used")

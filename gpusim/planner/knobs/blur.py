@@ -254,7 +254,7 @@ def _with_occlusion(question, depth, probes, placed, notes):
     wrong = _behind_edges(question, parts)
     light = picture[box].astype(np.float64)
     locate = _Locating(question, light, known, square, picture.size)
-    product = _located(question, wrong, light[window], known)
+    product = _locate(question, wrong, light[window], known)
     if tolerance is None or product.ratio(tolerance) > NEGLIGIBLE:
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() + bent <= SHARP]
         found = replace(found, is_diffracted=bool(wrong.any()), sharp=tuple(sharp))
@@ -439,7 +439,7 @@ def _blurs_in_focus(question, shape):
         yield blurred
 
 
-def _located(question, error, light, probes):
+def _locate(question, error, light, probes):
     """Return the bound of an error of the brightness at each sample, (rows, cols).
 
     light: brightness without blur.
