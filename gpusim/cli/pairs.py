@@ -3,7 +3,9 @@
 import json
 import time
 from collections import Counter
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import chain, islice
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,6 +108,8 @@ def pairs(request: PairsRequest) -> int:
     from gpusim.apps.pairs.shards import write_shard
     from gpusim.apps.video.manifest import describe_run, keep_manifest
     from gpusim.data.lights import illuminant
+    from gpusim.domain.scene import PLANE
+    from gpusim.io.scene.scenes import open_again
 
     request.check_settings()
     varied = dict(request.vary.ranges)
@@ -120,19 +124,31 @@ def pairs(request: PairsRequest) -> int:
         raise Conflict("--vary iso", "automatic exposure chooses the gain", remedy)
     photographs = _photographs(request)
 
+    own_light = {name: getattr(request, name) for name in ("light", "luminance")}
+    is_relit = bool(own_light.keys() & varied)
+
     def open_drawn(path, values):
         return request.open_scene(str(path), **scene_options(values))
+
+    def open_unlit(path, values):
+        return request.open_scene(str(path), light=None, luminance=None)
+
+    def relight(path, scene, values):
+        if scene.projection != PLANE:  # a view of a panorama
+            return open_drawn(path, values)
+        return open_again(path, scene, **(own_light | scene_options(values)))
 
     open_drawn(photographs[0], request.vary.draw(request.seed, 0))
     made = Pairs(
         simulator,
         photographs,
-        open_drawn,
+        open_unlit if is_relit else open_drawn,
         request.vary,
         request.each,
         request.seed,
         request.pictures,
         capture=request.capture,
+        relit=relight if is_relit else None,
     )
     folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):
@@ -159,23 +175,27 @@ def pairs(request: PairsRequest) -> int:
     with (
         keep_manifest(folder / "pairs.json", content, "its tar files", is_empty),
         tqdm(total=count, unit="pair", disable=None) as bar,
+        closing(made.files(chain.from_iterable(missing))) as samples,
     ):
         for shard in missing:
-            write_shard(names[shard.start], _count_states(made.files(shard), bar, states))
+            own_samples = islice(samples, len(shard))
+            write_shard(names[shard.start], _count_states(own_samples, bar, made.pace, states))
     seconds = time.perf_counter() - begun
     if count:
         print(
-            f"{count} pairs in {seconds:.1f} s, {count / seconds:.3g} pairs/s{describe_verdicts(states)}"
+            f"{count} pairs in {seconds:.1f} s, {count / seconds:.3g} pairs/s, limited by "
+            f"{made.pace.limit}{describe_verdicts(states)}"
         )
     if len(missing) < len(own):
         print(f"{len(own) - len(missing)} tar files were there already")
     return STATUS[worst_state(states)]
 
 
-def _count_states(samples, bar, states):
-    """Yield the samples, and count the states of their verdicts in `states`."""
+def _count_states(samples, bar, pace, states):
+    """Yield the samples, count the states of their verdicts in `states`, and show the progress."""
     for key, parts in samples:
         yield key, parts
+        bar.set_postfix_str(f"limited by {pace.limit}", refresh=False)
         if verdict := json.loads(parts["json"]).get("verdict"):
             states[verdict["state"]] += 1
         bar.update()
