@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
+from copy import copy
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -121,6 +122,12 @@ class Pairs:
 
     def __len__(self):
         return self._each * len(self._photographs)
+
+    def on(self, simulator: Simulator) -> "Pairs":
+        """Return the same pairs, made by a simulator on another device."""
+        other = copy(self)
+        other._simulator, other._loop, other._ready, other._last = simulator, None, None, None
+        return other
 
     def files(self, numbers: Iterable[int]) -> Iterator[tuple[str, dict[str, bytes]]]:
         """Yield key and files by suffix of each pair; see `gpusim pairs --help`.
