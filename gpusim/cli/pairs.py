@@ -104,9 +104,10 @@ def pairs(request: PairsRequest) -> int:
     """
     from tqdm import tqdm
 
-    from gpusim.apps.pairs.pairs import Pairs, gain_of
+    from gpusim.apps.pairs.pairs import Pairs
     from gpusim.apps.pairs.shards import write_shard
     from gpusim.apps.video.manifest import describe_run, keep_manifest
+    from gpusim.color.speed import gain_for_speed
     from gpusim.data.lights import illuminant
     from gpusim.domain.scene import PLANE
     from gpusim.io.scene.scenes import open_again
@@ -116,7 +117,7 @@ def pairs(request: PairsRequest) -> int:
     simulator = request.open_simulator()
     camera = simulator.camera
     for speed in varied.get("iso", ()):  # refuse wrong settings before the work
-        gain_of(camera, speed)
+        gain_for_speed(camera.sensor, speed)
     for light in varied.get("light", ()):
         illuminant(light)
     if "iso" in varied and "exposure" not in varied and camera.sensor.exposure_time is None:

@@ -12,6 +12,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from copy import copy
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +23,8 @@ from gpusim.apps.pairs.shards import npy
 from gpusim.apps.pairs.variety import Variety, scene_options
 from gpusim.apps.video.pipeline import ahead
 from gpusim.captures.capture import Capture, Light
-from gpusim.color.speed import gain_for_speed
+from gpusim.color.speed import gains_of
 from gpusim.domain.account import Account
-from gpusim.domain.camera import Camera
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.io.frame.frames import named_labels
@@ -179,6 +179,11 @@ class Pairs:
             self._last = key, self._prepare(key, self._read(key))
         return self._finish(self._compute(number, values, self._last[1]))
 
+    @cached_property
+    def _gain_of(self) -> Callable[[float], float]:
+        """The function from an ISO speed to the sensor's analog gain."""
+        return gains_of(self._simulator.camera.sensor)
+
     def _key(self, number, values) -> tuple:
         """Return the number of a pair's photograph, and the drawn values that its scene and plan depend on."""
         seconds = None if self._simulator.tolerance is None else values.get("exposure")
@@ -244,7 +249,9 @@ class Pairs:
     def _compute(self, number, values, ready: _Ready) -> _Shot:
         """Return a pair whose arrays are computed, or on their way from the device."""
         simulator = self._simulator
-        gain = gain_of(simulator.camera, values.get("iso"))
+        gain = 1.0
+        if "iso" in values:  # in addition to the sensor's own
+            gain = self._gain_of(values["iso"]) / simulator.camera.sensor.analog_gain
         if self._capture is not None:
             return self._capture_pair(number, values, ready.scene, gain)
         loop, self._loop = self._loop_of(ready, values.get("exposure"), gain), None
@@ -377,12 +384,3 @@ class Pairs:
         if simulator.tolerance is not None:
             record["verdict"] = account.verdict(simulator.tolerance).as_dict()
         return record
-
-
-def gain_of(camera: Camera, speed: float | None) -> float:
-    """Return the analog gain, in addition to the sensor's, for an ISO speed; 1 for None.
-
-    Raises OutOfRange.
-    """
-    sensor = camera.sensor
-    return 1.0 if speed is None else gain_for_speed(sensor, speed) / sensor.analog_gain
