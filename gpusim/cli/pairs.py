@@ -1,11 +1,10 @@
 """`gpusim pairs`: noisy and clean frames of photographs, in shards for training."""
 
-import json
+import os
 import time
 from collections import Counter
-from contextlib import closing
 from dataclasses import dataclass
-from itertools import chain, islice
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -31,6 +30,8 @@ if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
 
 IN_SHARD = 256  # pairs, by default
+WORTH = 128  # pairs for which it is worth to start a process
+CONTEXT = 2**29  # [byte] that a driver takes of a GPU's memory for each process
 MOST = 10**8
 TEXTS = {
     "help": "noisy and clean frames of photographs for training, in tar files for WebDataset",
@@ -77,6 +78,13 @@ class PairsRequest(Request):
         metavar="N",
         help=f"pairs per tar file (default: {IN_SHARD})",
     )
+    jobs: int | None = option(
+        in_key=False,
+        type=whole(1, 1024),
+        metavar="N",
+        help="processes that share the tar files, each with memory of its own (default: by the cores, the "
+        "number of pairs and the device's memory)",
+    )
     shard: Shard = shard_option("part I of N of the tar files, counted from 0")
 
     def check_settings(self) -> None:
@@ -104,13 +112,10 @@ def pairs(request: PairsRequest) -> int:
     """
     from tqdm import tqdm
 
-    from gpusim.apps.pairs.pairs import Pairs
-    from gpusim.apps.pairs.shards import write_shard
+    from gpusim.apps.pairs.processes import share_shards, write_shards
     from gpusim.apps.video.manifest import describe_run, keep_manifest
     from gpusim.color.speed import gain_for_speed
     from gpusim.data.lights import illuminant
-    from gpusim.domain.scene import PLANE
-    from gpusim.io.scene.scenes import open_again
 
     request.check_settings()
     varied = dict(request.vary.ranges)
@@ -123,34 +128,9 @@ def pairs(request: PairsRequest) -> int:
     if "iso" in varied and "exposure" not in varied and camera.sensor.exposure_time is None:
         remedy = "add --exposure TIME or --vary exposure=LOW..HIGH"
         raise Conflict("--vary iso", "automatic exposure chooses the gain", remedy)
-    photographs = _photographs(request)
-
-    own_light = {name: getattr(request, name) for name in ("light", "luminance")}
-    is_relit = bool(own_light.keys() & varied)
-
-    def open_drawn(path, values):
-        return request.open_scene(str(path), **scene_options(values))
-
-    def open_unlit(path, values):
-        return request.open_scene(str(path), light=None, luminance=None)
-
-    def relight(path, scene, values):
-        if scene.projection != PLANE:  # a view of a panorama
-            return open_drawn(path, values)
-        return open_again(path, scene, **(own_light | scene_options(values)))
-
-    open_drawn(photographs[0], request.vary.draw(request.seed, 0))
-    made = Pairs(
-        simulator,
-        photographs,
-        open_unlit if is_relit else open_drawn,
-        request.vary,
-        request.each,
-        request.seed,
-        request.pictures,
-        capture=request.capture,
-        relit=relight if is_relit else None,
-    )
+    photographs, jobs = _photographs(request), request.jobs
+    made = _open_pairs(request, simulator, photographs)
+    first = made.open(0)
     folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):
         raise BadFile(folder, "the photographs are in it; give -o another folder")
@@ -166,9 +146,11 @@ def pairs(request: PairsRequest) -> int:
         vary={name: list(values) for name, values in varied.items()},
     )
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
-    missing = [shard for shard in own if not names[shard.start].exists()]
-    begun, count = time.perf_counter(), sum(map(len, missing))
+    missing = [(names[shard.start], shard) for shard in own if not names[shard.start].exists()]
+    begun, count = time.perf_counter(), sum(len(shard) for _, shard in missing)
+    jobs = max(min(jobs or _choose_jobs(simulator, first, count), len(missing)), 1)
     states: Counter[str] = Counter()
+    limits: Counter[str] = Counter()
 
     def is_empty():
         return not any(folder.glob("*.tar"))
@@ -176,30 +158,73 @@ def pairs(request: PairsRequest) -> int:
     with (
         keep_manifest(folder / "pairs.json", content, "its tar files", is_empty),
         tqdm(total=count, unit="pair", disable=None) as bar,
-        closing(made.files(chain.from_iterable(missing))) as samples,
     ):
-        for shard in missing:
-            own_samples = islice(samples, len(shard))
-            write_shard(names[shard.start], _count_states(own_samples, bar, made.pace, states))
+
+        def report(progress):
+            bar.set_postfix_str(f"limited by {progress.limit}", refresh=False)
+            bar.update(progress.count)
+            states.update(progress.states)
+            limits[progress.limit] += progress.count
+
+        if jobs > 1:
+            start = partial(_open_pairs, request, simulator, photographs)
+            share_shards(start, missing, jobs, report)
+        else:
+            write_shards(made, missing, report)
     seconds = time.perf_counter() - begun
     if count:
         print(
             f"{count} pairs in {seconds:.1f} s, {count / seconds:.3g} pairs/s, limited by "
-            f"{made.pace.limit}{describe_verdicts(states)}"
+            f"{max(limits, key=lambda name: limits[name])}{describe_verdicts(states)}"
         )
     if len(missing) < len(own):
         print(f"{len(own) - len(missing)} tar files were there already")
     return STATUS[worst_state(states)]
 
 
-def _count_states(samples, bar, pace, states):
-    """Yield the samples, count the states of their verdicts in `states`, and show the progress."""
-    for key, parts in samples:
-        yield key, parts
-        bar.set_postfix_str(f"limited by {pace.limit}", refresh=False)
-        if verdict := json.loads(parts["json"]).get("verdict"):
-            states[verdict["state"]] += 1
-        bar.update()
+def _open_pairs(request, simulator, photographs):
+    """Return the pairs of the command line."""
+    from gpusim.apps.pairs.pairs import Pairs
+    from gpusim.domain.scene import PLANE
+    from gpusim.io.scene.scenes import open_again
+
+    own_light = {name: getattr(request, name) for name in ("light", "luminance")}
+    is_relit = bool(own_light.keys() & dict(request.vary.ranges))
+
+    def open_drawn(path, values):
+        return request.open_scene(str(path), **scene_options(values))
+
+    def open_unlit(path, values):
+        return request.open_scene(str(path), light=None, luminance=None)
+
+    def relight(path, scene, values):
+        if scene.projection != PLANE:  # a view of a panorama
+            return open_drawn(path, values)
+        return open_again(path, scene, **(own_light | scene_options(values)))
+
+    return Pairs(
+        simulator,
+        photographs,
+        open_unlit if is_relit else open_drawn,
+        request.vary,
+        request.each,
+        request.seed,
+        request.pictures,
+        capture=request.capture,
+        relit=relight if is_relit else None,
+    )
+
+
+def _choose_jobs(simulator, scene, count):
+    """Return the number of processes for this many pairs of scenes like this one."""
+    device, cores = simulator.device, os.cpu_count() or 1
+    if device.kind == "numpy" or count < 2 * WORTH:
+        return 1
+    jobs = min(cores // 2 if device.is_gpu else cores // 4, count // WORTH)
+    if jobs > 1 and device.is_gpu:  # each has memory of its own there
+        each = 2 * simulator.plan(scene).bytes_needed + CONTEXT
+        jobs = min(jobs, device.memory // each)
+    return jobs
 
 
 def _photographs(request):

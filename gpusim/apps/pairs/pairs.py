@@ -96,6 +96,7 @@ class Pairs:
 
     Attributes:
         pace: Times of the steps of `files`.
+        threads: Threads of `files` that read, and that encode. The device has one more.
     """
 
     def __init__(
@@ -118,10 +119,15 @@ class Pairs:
         self._loop: Loop | None = None
         self._ready: _Ready | None = None  # the loop's
         self._last: tuple | None = None  # key and result of the last `pair` that was read
-        self.pace = Pace()
+        self.pace, self.threads = Pace(), os.cpu_count() or 1
 
     def __len__(self):
         return self._each * len(self._photographs)
+
+    def open(self, number: int) -> Scene:
+        """Return the scene of a pair."""
+        key = self._key(number, self._variety.draw(self._seed, number))
+        return self._lit(key, self._read(key))
 
     def on(self, simulator: Simulator) -> "Pairs":
         """Return the same pairs, made by a simulator on another device."""
@@ -134,7 +140,7 @@ class Pairs:
 
         Raises as `Simulator.frames` does, after all pairs before the wrong one.
         """
-        workers = os.cpu_count() or 1
+        workers = self.threads
         waiting: deque[tuple[int, int, Future]] = deque()
         held, failure = 0, None
         readers, encoders = (ThreadPoolExecutor(workers) for _ in range(2))
@@ -196,12 +202,16 @@ class Pairs:
             self._photographs[photograph], {} if self._relit is not None else dict(light)
         )
 
+    def _lit(self, key, scene: Scene) -> Scene:
+        """Return a scene that was read in its drawn light."""
+        photograph, light, _ = key
+        if self._relit is None or not light:
+            return scene
+        return self._relit(self._photographs[photograph], scene, dict(light))
+
     def _prepare(self, key, scene: Scene) -> _Ready:
         """Return a scene in its light, and its plan if the loop needs none of its own."""
-        photograph, light, seconds = key
-        if self._relit is not None and light:
-            scene = self._relit(self._photographs[photograph], scene, dict(light))
-        simulator = self._simulator
+        scene, simulator, seconds = self._lit(key, scene), self._simulator, key[-1]
         is_planned = self._plan is None and self._capture is None
         if not is_planned or is_read_on_device(simulator.device, scene):
             return _Ready(scene, None)
