@@ -220,7 +220,7 @@ def _choose_jobs(simulator, scene, count):
     device, cores = simulator.device, os.cpu_count() or 1
     if device.kind == "numpy" or count < 2 * WORTH:
         return 1
-    jobs = min(cores // 2 if device.is_gpu else cores // 4, count // WORTH)
+    jobs = min(7 * cores // 8 if device.is_gpu else cores // 4, count // WORTH)
     if jobs > 1 and device.is_gpu:  # each has memory of its own there
         each = 2 * simulator.plan(scene).bytes_needed + CONTEXT
         jobs = min(jobs, device.memory // each)
