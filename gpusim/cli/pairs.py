@@ -1,6 +1,5 @@
 """`gpusim pairs`: noisy and clean frames of photographs, in shards for training."""
 
-import os
 import time
 from collections import Counter
 from dataclasses import dataclass
@@ -217,10 +216,12 @@ def _open_pairs(request, simulator, photographs):
 
 def _choose_jobs(simulator, scene, count):
     """Return the number of processes for this many pairs of scenes like this one."""
-    device, cores = simulator.device, os.cpu_count() or 1
+    from gpusim.apps.pairs.pairs import count_cores
+
+    device, cores = simulator.device, count_cores()
     if device.kind == "numpy" or count < 2 * WORTH:
         return 1
-    jobs = min(7 * cores // 8 if device.is_gpu else cores // 4, count // WORTH)
+    jobs = min(7 * cores // 8 if device.is_gpu else cores // 2, count // WORTH)
     if jobs > 1 and device.is_gpu:  # each has memory of its own there
         each = 2 * simulator.plan(scene).bytes_needed + CONTEXT
         jobs = min(jobs, device.memory // each)

@@ -119,7 +119,7 @@ class Pairs:
         self._loop: Loop | None = None
         self._ready: _Ready | None = None  # the loop's
         self._last: tuple | None = None  # key and result of the last `pair` that was read
-        self.pace, self.threads = Pace(), os.cpu_count() or 1
+        self.pace, self.threads = Pace(), count_cores()
 
     def __len__(self):
         return self._each * len(self._photographs)
@@ -394,3 +394,10 @@ class Pairs:
         if simulator.tolerance is not None:
             record["verdict"] = account.verdict(simulator.tolerance).as_dict()
         return record
+
+
+def count_cores() -> int:
+    """Return the number of cores that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1

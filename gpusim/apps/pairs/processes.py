@@ -18,7 +18,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from gpusim.apps.pairs.pairs import Pairs
+from gpusim.apps.pairs.pairs import Pairs, count_cores
 from gpusim.apps.pairs.shards import write_shard
 from gpusim.domain.errors import GpusimError
 
@@ -78,7 +78,7 @@ def share_shards(
         GpusimError: A photograph or a file is wrong.
     """
     context, packed = multiprocessing.get_context("spawn"), pickle.dumps(start)
-    threads = max((os.cpu_count() or 1) // jobs, 1)
+    threads = max(count_cores() // jobs, 1)
     processes: list[Any] = []
     connections: list[Connection] = []
     working: dict[Connection, int] = {}  # number of the shard
