@@ -1,7 +1,6 @@
 """Rate of a pipeline, and the step that limits it."""
 
 import time
-from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -14,7 +13,8 @@ class Pace:
     """
 
     def __init__(self):
-        self._spent: Counter[str] = Counter()
+        steps = ("reading", "computing", "waiting", "encoding", "writing")
+        self._spent = dict.fromkeys(steps, 0.0)
 
     @contextmanager
     def during(self, step: str) -> Iterator[None]:
@@ -28,7 +28,7 @@ class Pace:
     @property
     def limit(self) -> str:
         """Name of the step that the others waited for most; "" before the first sample."""
-        spent = Counter(self._spent)
+        spent = self._spent
         # results wait for the slower of the two later steps
         later = "encoding" if spent["encoding"] > spent["writing"] else "writing"
         shares = {

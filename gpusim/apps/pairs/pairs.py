@@ -7,7 +7,7 @@ thread computes on the device, and threads encode. Their order is the order of t
 import json
 import os
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
 from copy import copy
@@ -135,7 +135,7 @@ class Pairs:
         other._simulator, other._loop, other._ready, other._last = simulator, None, None, None
         return other
 
-    def files(self, numbers: Iterable[int]) -> Iterator[tuple[str, dict[str, bytes]]]:
+    def files(self, numbers: Iterable[int]) -> Generator[tuple[str, dict[str, bytes]], None, None]:
         """Yield key and files by suffix of each pair; see `gpusim pairs --help`.
 
         Raises as `Simulator.frames` does, after all pairs before the wrong one.
@@ -263,7 +263,7 @@ class Pairs:
         if "iso" in values:  # in addition to the sensor's own
             gain = self._gain_of(values["iso"]) / simulator.camera.sensor.analog_gain
         if self._capture is not None:
-            return self._capture_pair(number, values, ready.scene, gain)
+            return self._capture_pair(number, values, ready.scene, gain, self._capture)
         loop, self._loop = self._loop_of(ready, values.get("exposure"), gain), None
         exposure = loop.expose()
         if ready.plan is not None:
@@ -333,9 +333,9 @@ class Pairs:
         record = self._record(shot.number, shot.values, exposure, sensor, shot.account)
         return pair | {"record": record, "labels": exposure.labels}
 
-    def _capture_pair(self, number, values, scene, gain) -> _Shot:
+    def _capture_pair(self, number, values, scene, gain, capture: Capture) -> _Shot:
         """Return the pair of a capture."""
-        simulator, capture = self._simulator, self._capture
+        simulator = self._simulator
         first = number * capture.count
         seconds = values.get("exposure")
         light = Light(capture, simulator, scene, first, seconds, gain, self._plan)
