@@ -1,9 +1,9 @@
 """`gpusim pairs`: noisy and clean frames of photographs, in shards for training."""
 
-import json
 import time
 from collections import Counter
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -30,6 +30,8 @@ if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
 
 IN_SHARD = 256  # pairs, by default
+WORTH = 128  # pairs for which it is worth to start a process
+CONTEXT = 2**29  # [byte] that a driver takes of a GPU's memory for each process
 MOST = 10**8
 TEXTS = {
     "help": "noisy and clean frames of photographs for training, in tar files for WebDataset",
@@ -77,6 +79,13 @@ class PairsRequest(Request):
         metavar="N",
         help=f"pairs per tar file (default: {IN_SHARD})",
     )
+    jobs: int | None = option(
+        in_key=False,
+        type=whole(1, 1024),
+        metavar="N",
+        help="processes that share the tar files, each with memory of its own (default: by the cores, the "
+        "number of pairs and the device's memory)",
+    )
     shard: Shard = shard_option("part I of N of the tar files, counted from 0")
 
     def check_settings(self) -> None:
@@ -104,10 +113,9 @@ def pairs(request: PairsRequest) -> int:
     """
     from tqdm import tqdm
 
-    from gpusim.apps.devices import run_together
-    from gpusim.apps.pairs.pairs import Pairs, gain_of
-    from gpusim.apps.pairs.shards import write_shard
+    from gpusim.apps.pairs.processes import share_shards, write_shards
     from gpusim.apps.video.manifest import describe_run, keep_manifest
+    from gpusim.color.speed import gain_for_speed
     from gpusim.data.lights import illuminant
 
     request.check_settings()
@@ -115,28 +123,15 @@ def pairs(request: PairsRequest) -> int:
     simulator = request.open_simulator(several=True)
     camera = simulator.camera
     for speed in varied.get("iso", ()):  # refuse wrong settings before the work
-        gain_of(camera, speed)
+        gain_for_speed(camera.sensor, speed)
     for light in varied.get("light", ()):
         illuminant(light)
     if "iso" in varied and "exposure" not in varied and camera.sensor.exposure_time is None:
         remedy = "add --exposure TIME or --vary exposure=LOW..HIGH"
         raise Conflict("--vary iso", "automatic exposure chooses the gain", remedy)
-    photographs = _photographs(request)
-
-    def open_drawn(path, values):
-        return request.open_scene(str(path), **scene_options(values))
-
-    open_drawn(photographs[0], request.vary.draw(request.seed, 0))
-    made = Pairs(
-        simulator,
-        photographs,
-        open_drawn,
-        request.vary,
-        request.each,
-        request.seed,
-        request.pictures,
-        capture=request.capture,
-    )
+    photographs, jobs = _photographs(request), request.jobs
+    made = _open_pairs(request, simulator, photographs)
+    first = made.open(0)
     folder = Path(request.out)
     if any(path.parent.resolve() == folder.resolve() for path in photographs):
         raise BadFile(folder, "the photographs are in it; give -o another folder")
@@ -152,21 +147,12 @@ def pairs(request: PairsRequest) -> int:
         vary={name: list(values) for name, values in varied.items()},
     )
     names = {shard.start: folder / f"{number:06d}.tar" for number, shard in enumerate(shards)}
-    missing = [shard for shard in own if not names[shard.start].exists()]
-    begun, count = time.perf_counter(), sum(map(len, missing))
+    missing = [(names[shard.start], shard) for shard in own if not names[shard.start].exists()]
+    begun, count = time.perf_counter(), sum(len(shard) for _, shard in missing)
+    jobs = max(jobs or _choose_jobs(simulator, first, count), len(simulator.devices))
+    jobs = max(min(jobs, len(missing)), 1)
     states: Counter[str] = Counter()
-
-    parts = [made.on(one) for one in simulator.on_devices()]
-
-    def files(shard):
-        """Return the pairs of a shard. Devices take the photographs in turn."""
-        turns = [number // request.each % len(parts) for number in shard]
-        own: list[list[int]] = [[] for _ in parts]
-        for number, turn in zip(shard, turns, strict=True):
-            own[turn].append(number)
-        return run_together(
-            [part.files(numbers) for part, numbers in zip(parts, own, strict=True)], turns
-        )
+    limits: Counter[str] = Counter()
 
     def is_empty():
         return not any(folder.glob("*.tar"))
@@ -175,25 +161,76 @@ def pairs(request: PairsRequest) -> int:
         keep_manifest(folder / "pairs.json", content, "its tar files", is_empty),
         tqdm(total=count, unit="pair", disable=None) as bar,
     ):
-        for shard in missing:
-            write_shard(names[shard.start], _count_states(files(shard), bar, states))
+
+        def report(progress):
+            bar.set_postfix_str(f"limited by {progress.limit}", refresh=False)
+            bar.update(progress.count)
+            states.update(progress.states)
+            limits[progress.limit] += progress.count
+
+        if jobs > 1:
+            starts = [
+                partial(_open_pairs, request, one, photographs) for one in simulator.on_devices()
+            ]
+            share_shards(starts, missing, jobs, report)
+        else:
+            write_shards(made, missing, report)
     seconds = time.perf_counter() - begun
     if count:
         print(
-            f"{count} pairs in {seconds:.1f} s, {count / seconds:.3g} pairs/s{describe_verdicts(states)}"
+            f"{count} pairs in {seconds:.1f} s, {count / seconds:.3g} pairs/s, limited by "
+            f"{max(limits, key=lambda name: limits[name])}{describe_verdicts(states)}"
         )
     if len(missing) < len(own):
         print(f"{len(own) - len(missing)} tar files were there already")
     return STATUS[worst_state(states)]
 
 
-def _count_states(samples, bar, states):
-    """Yield the samples, and count the states of their verdicts in `states`."""
-    for key, parts in samples:
-        yield key, parts
-        if verdict := json.loads(parts["json"]).get("verdict"):
-            states[verdict["state"]] += 1
-        bar.update()
+def _open_pairs(request, simulator, photographs):
+    """Return the pairs of the command line."""
+    from gpusim.apps.pairs.pairs import Pairs
+    from gpusim.domain.scene import PLANE
+    from gpusim.io.scene.scenes import open_again
+
+    own_light = {name: getattr(request, name) for name in ("light", "luminance")}
+    is_relit = bool(own_light.keys() & dict(request.vary.ranges))
+
+    def open_drawn(path, values):
+        return request.open_scene(str(path), **scene_options(values))
+
+    def open_unlit(path, values):
+        return request.open_scene(str(path), light=None, luminance=None)
+
+    def relight(path, scene, values):
+        if scene.projection != PLANE:  # a view of a panorama
+            return open_drawn(path, values)
+        return open_again(path, scene, **(own_light | scene_options(values)))
+
+    return Pairs(
+        simulator,
+        photographs,
+        open_unlit if is_relit else open_drawn,
+        request.vary,
+        request.each,
+        request.seed,
+        request.pictures,
+        capture=request.capture,
+        relit=relight if is_relit else None,
+    )
+
+
+def _choose_jobs(simulator, scene, count):
+    """Return the number of processes for this many pairs of scenes like this one."""
+    from gpusim.apps.pairs.pairs import count_cores
+
+    device, cores = simulator.device, count_cores()
+    if device.kind == "numpy" or count < 2 * WORTH:
+        return 1
+    jobs = min(7 * cores // 8 if device.is_gpu else cores // 2, count // WORTH)
+    if jobs > 1 and device.is_gpu:  # each has memory of its own there
+        each = 2 * simulator.plan(scene).bytes_needed + CONTEXT
+        jobs = min(jobs, device.memory // each * len(simulator.devices))
+    return jobs
 
 
 def _photographs(request):

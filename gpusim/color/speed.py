@@ -1,5 +1,6 @@
 """ISO speed: the light that saturates a camera's pixels, in the photographic scale."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from math import prod
 from typing import Any, Literal
@@ -69,26 +70,37 @@ def gain_for_speed(sensor: Sensor, speed: float) -> float:
         BadData: The sensor does not see daylight.
         OutOfRange: The speed is below the base speed, or needs too large a gain.
     """
+    return gains_of(sensor)(speed)
+
+
+def gains_of(sensor: Sensor) -> Callable[[float], float]:
+    """Return the function `gain_for_speed` of one sensor, for many speeds."""
     unity = replace(sensor, analog_gain=1.0)
-    base = iso_speed(unity)
-    if not base:
-        raise BadData(f"iso = {speed:.6g}: the sensor does not see {LIGHT}, so it has no ISO speed")
-    if sensor.bits == FLOAT_BITS:
-        raise OutOfRange(
-            "iso", f"{speed:.6g}", f"none: without a converter it is {base:.4g} at every gain"
-        )
-    # electrons at which a pixel shall saturate
-    electrons = _saturation(unity) * base / speed if speed >= base else np.inf
-    node = electrons * _pixels_per_node(sensor) + sensor.analog_offset
+    base, saturation, pixels = iso_speed(unity), _saturation(unity), _pixels_per_node(sensor)
     span = (sensor.white_level - sensor.black_level) / _node(unity).gain_dn_per_electron  # [e-]
-    if not span / MOST_GAIN <= node < np.inf:
-        raise OutOfRange(
-            "iso",
-            f"{speed:.6g}",
-            f"{_round_up(base):g}, this sensor's base speed, or more, up to an analog "
-            f"gain of {MOST_GAIN:g}",
-        )
-    return span / node
+
+    def gain(speed: float) -> float:
+        if not base:
+            raise BadData(
+                f"iso = {speed:.6g}: the sensor does not see {LIGHT}, so it has no ISO speed"
+            )
+        if sensor.bits == FLOAT_BITS:
+            raise OutOfRange(
+                "iso", f"{speed:.6g}", f"none: without a converter it is {base:.4g} at every gain"
+            )
+        # electrons at which a pixel shall saturate
+        electrons = saturation * base / speed if speed >= base else np.inf
+        node = electrons * pixels + sensor.analog_offset
+        if not span / MOST_GAIN <= node < np.inf:
+            raise OutOfRange(
+                "iso",
+                f"{speed:.6g}",
+                f"{_round_up(base):g}, this sensor's base speed, or more, up to an analog "
+                f"gain of {MOST_GAIN:g}",
+            )
+        return span / node
+
+    return gain
 
 
 def _pixels_per_node(sensor):

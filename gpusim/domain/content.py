@@ -448,6 +448,8 @@ class Basis(Content):
         super().check(name)
         if not is_seen(self.coefficients):
             return
+        if np.min(self.basis) >= 0 and self.coefficients.min() >= 0:
+            return  # nor are their mixtures
         # coefficients may be negative, the spectra that they make may not
         lowest, highest = 0.0, 0.0
         for row in np.moveaxis(self.coefficients, 1, 0):  # row by row: the whole would be a cube

@@ -3,6 +3,8 @@
 import io
 import json
 import os
+import shutil
+import signal
 import subprocess
 import sys
 import tarfile
@@ -16,10 +18,13 @@ from devices import KINDS
 from PIL import Image
 
 import gpusim as gs
+from gpusim.apps.pairs.pace import Pace
 from gpusim.apps.pairs.pairs import Pairs
-from gpusim.apps.pairs.variety import Variety
+from gpusim.apps.pairs.shards import npy, write_shard
+from gpusim.apps.pairs.variety import Variety, scene_options
 from gpusim.cli.main import main
 from gpusim.domain.account import SHOWN
+from gpusim.io.scene.scenes import open_again
 
 
 @pytest.fixture(scope="module")
@@ -163,6 +168,193 @@ def test_raw_values_scatter_about_the_clean_ones():
     assert np.abs(np.corrcoef(flat) - np.eye(count)).max() < 6 / np.sqrt(
         flat.shape[1]
     )  # pairs have noise of their own
+
+
+def test_a_shard_has_the_bytes_that_tarfile_writes(tmp_path):
+    random = np.random.default_rng(1)
+    samples = [
+        (f"{number:08d}", {"raw.npy": random.bytes(size), "json": b"{}", "empty": b""})
+        for number, size in enumerate([0, 511, 512, 513, 2**21 + 7])
+    ]
+    write_shard(tmp_path / "own.tar", samples)
+    with tarfile.open(tmp_path / "its.tar", "w", format=tarfile.USTAR_FORMAT) as file:
+        for key, parts in samples:
+            for suffix, data in parts.items():
+                member = tarfile.TarInfo(f"{key}.{suffix}")
+                member.size = len(data)
+                file.addfile(member, io.BytesIO(data))
+    assert (tmp_path / "own.tar").read_bytes() == (tmp_path / "its.tar").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "array", [np.arange(6, dtype=np.uint16).reshape(2, 3).T, np.zeros((0, 3)), np.ones(5, bool)]
+)
+def test_arrays_have_the_bytes_that_numpy_writes(array):
+    file = io.BytesIO()
+    np.save(file, np.ascontiguousarray(array))
+    assert npy(array) == file.getvalue()
+
+
+@pytest.mark.parametrize(
+    "vary", ["exposure=1/500..1/20,iso=200..1600", "light=D65|A|FL11,luminance=20..300"]
+)
+def test_a_photograph_is_read_once(vary, photographs):
+    """Also in several lights, of which each is as if the file was opened in it."""
+    paths, seen, variety = sorted(photographs.iterdir()), [], Variety.parse(vary)
+
+    def opened(path, values):
+        seen.append(path)
+        assert not scene_options(values)
+        return gs.open_scene(path)
+
+    def relit(path, scene, values):
+        found, expected = (
+            open_again(path, scene, **scene_options(values)),
+            gs.open_scene(path, **scene_options(values)),
+        )
+        assert np.array_equal(found.illuminant.values, expected.illuminant.values)
+        assert np.array_equal(found.content.planes, expected.content.planes)
+        return found
+
+    simulator = gs.Simulator(gs.open_camera("phone"), device="numpy")
+    pairs = Pairs(simulator, paths, opened, variety, 7, relit=relit)
+    assert [key for key, _ in pairs.files(range(len(pairs)))] == [
+        f"{n:08d}" for n in range(7 * len(paths))
+    ]
+    assert seen == paths
+
+
+@pytest.mark.parametrize(
+    "options", [{"light": "A"}, {"luminance": 30.0}, {"light": "FL11", "luminance": 250.0}]
+)
+def test_a_scene_with_its_own_light_in_another(options, tmp_path):
+    cube = np.random.default_rng(4).random((4, 6, 8)).astype(np.float32)
+    gs.save_scene(
+        gs.scene_from(cube, [450, 500, 600, 700], light="A", luminance=60.0), tmp_path / "own.npz"
+    )
+    found = open_again(tmp_path, gs.open_scene(tmp_path / "own.npz"), **options)
+    expected = gs.open_scene(tmp_path / "own.npz", **options)
+    assert np.array_equal(found.illuminant.values, expected.illuminant.values)
+
+
+@pytest.fixture
+def damaged(photographs, tmp_path):
+    """The photographs of which the fourth is cut, and its whole bytes."""
+    folder = tmp_path / "damaged"
+    shutil.copytree(photographs, folder)
+    cut = sorted(folder.iterdir())[3]
+    whole = cut.read_bytes()
+    cut.write_bytes(whole[: len(whole) // 2])
+    return folder, cut, whole
+
+
+@pytest.mark.parametrize("jobs", [1, pytest.param(2, marks=pytest.mark.slow)])
+def test_a_damaged_photograph_ends_the_run_after_the_shards_before_it(
+    jobs, damaged, photographs, tmp_path, capsys
+):
+    folder, cut, whole = damaged
+    asked = [
+        "--camera",
+        "phone",
+        "--device",
+        "numpy",
+        "--each",
+        "2",
+        "--in-shard",
+        "2",
+        "--jobs",
+        jobs,
+    ]
+    made(capsys, photographs, *asked, "-o", tmp_path / "whole")
+    expected, out = shards(tmp_path / "whole"), tmp_path / "out"
+    assert main(["pairs", *map(str, [folder, *asked, "-o", out])]) == 2
+    error = capsys.readouterr().err
+    assert cut.name in error and error.count("\n") == 1, error
+    found = shards(out)
+    assert sorted(found) == [f"{number:06d}.tar" for number in range(3)]
+    assert all(expected[name] == data for name, data in found.items())
+    assert not [name for name in os.listdir(out) if name.startswith(".")]
+    cut.write_bytes(whole)
+    (out / "pairs.json").unlink()  # of other bytes
+    made(capsys, folder, *asked, "-o", out)
+    assert shards(out) == expected
+
+
+@pytest.mark.slow  # processes start
+@pytest.mark.parametrize("device", KINDS)
+def test_several_processes_write_the_same_bytes(device, photographs, tmp_path, capsys):
+    asked = [photographs, "--camera", "phone", "--device", device, "--each", "3", "--in-shard", "4"]
+    asked += ["--pictures", "--vary", "exposure=1/500..1/20,light=D65|A", "--tolerance", "video"]
+    for jobs in (1, 3):
+        made(capsys, *asked, "-o", tmp_path / str(jobs), "--jobs", jobs)
+    assert shards(tmp_path / "3") == shards(tmp_path / "1")
+
+
+COMMAND = [
+    sys.executable,
+    "-c",
+    "import sys; from gpusim.__main__ import start; sys.exit(start())",
+    "pairs",
+]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="there are no process groups")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_interrupted_run_leaves_whole_shards(jobs, photographs, tmp_path):
+    asked = [photographs, "--camera", "phone", "--device", "numpy", "--each", 40, "--in-shard", 12]
+    asked = [*COMMAND, *map(str, [*asked, "--jobs", jobs, "-o", tmp_path / "out"])]
+    process = subprocess.Popen(
+        asked, stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+    )
+    last = time.monotonic() + 120
+    while not list((tmp_path / "out").glob("0*.tar")) and time.monotonic() < last:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does, to all processes
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 2 and error == "gpusim: interrupted\n"
+    left = os.listdir(tmp_path / "out")
+    assert "000000.tar" in left or jobs > 1
+    assert len(left) < 21 and not [name for name in left if name.startswith(".")]
+    for name in left:
+        if name.endswith(".tar"):
+            with tarfile.open(tmp_path / "out" / name) as file:
+                assert len(file.getnames()) == 36
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(os.name != "posix", reason="there are no limits of file sizes")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_disk_that_is_full_is_said_in_a_line(jobs, photographs, tmp_path):
+    """Here: a limit of the size of files, which fails a write likewise."""
+    import resource
+
+    asked = [photographs, "--camera", "phone", "--device", "numpy", "--each", 40, "--in-shard", 120]
+    done = subprocess.run(
+        [*COMMAND, *map(str, [*asked, "--jobs", jobs, "-o", tmp_path / "out"])],
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (2**19, 2**19)),
+    )
+    assert (
+        done.returncode == 2 and done.stderr.count("\n") == 1 and "cannot be written" in done.stderr
+    )
+    assert os.listdir(tmp_path / "out") == []
+
+
+def test_the_pace_names_the_step_that_others_wait_for():
+    def pace(**spent):
+        found = Pace()
+        for step, seconds in spent.items():
+            with found.during(step):
+                time.sleep(seconds)
+        return found.limit
+
+    assert Pace().limit == ""
+    assert pace(reading=0.2, computing=0.02, waiting=0.02) == "reading"
+    assert pace(reading=0.02, computing=0.2, waiting=0.02, writing=0.3) == "computing"
+    assert pace(computing=0.02, waiting=0.2, encoding=0.02, writing=0.1) == "writing"
+    assert pace(computing=0.02, waiting=0.2, encoding=0.1, writing=0.02) == "encoding"
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,22 @@ def test_rows_in_any_order_are_those_of_the_serial_run(device):
     np.testing.assert_array_equal(rows["frame"][0], expected[4])
 
 
+def test_the_device_is_called_once_for_rows_of_one_shape():
+    frames = Frames(PHONE, device=KINDS[0], seed=5, exposure_time="time", at_once=4)
+    batch, called = frames._batch, []
+
+    def counted(pictures, **settings):
+        called.append(len(pictures))
+        return batch(pictures, **settings)
+
+    counted.output = batch.output
+    frames._batch = counted
+    rows = frames({"image": PICTURES, "number": np.arange(10), "time": TIMES})
+    assert called == [4, 4, 2]
+    for own, expected in zip(rows["frame"], serial(KINDS[0]), strict=True):
+        np.testing.assert_array_equal(own, expected)
+
+
 def test_pictures_have_their_channels_where_the_rows_have_them():
     rows = (
         {"image": PICTURES[:2], "number": [0, 1]},

@@ -45,6 +45,20 @@ def compared(device, tolerance):
     assert (batch(pictures, first=31, seed=2, exposure_time=0.01) != together).mean() > 0.5
 
 
+@pytest.mark.parametrize("tolerance", [None, "video"])
+def test_each_picture_has_its_number_and_seed(tolerance):
+    batch = gs.PictureBatch(PHONE, device=KINDS[0], tolerance=tolerance)
+    numbers, seeds = np.array([7, 3, 3, 2**31]), [1, 1, 2, 0]
+    together = batch(PICTURES, first=numbers, seed=seeds, exposure_time=0.01)
+    for item, (number, seed) in enumerate(zip(numbers, seeds, strict=True)):
+        alone = batch(PICTURES[[item]], first=int(number), seed=seed, exposure_time=0.01)
+        np.testing.assert_array_equal(alone[0], together[item])
+    with pytest.raises(OutOfRange, match="first"):
+        batch(PICTURES, first=[1, 2, 3, 0.5])
+    with pytest.raises(BadData, match="3 of first"):
+        batch(PICTURES, first=[1, 2, 3])
+
+
 @pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("output", ["raw", "linear", "codes", "mean"])
 def test_frames_are_those_of_scenes(device, output):

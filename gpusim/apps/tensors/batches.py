@@ -17,7 +17,7 @@ from gpusim.data.srgb import srgb_primaries
 from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis, Content, Cube
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange, checked_count
 from gpusim.domain.memory import describe_array, to_host, type_of
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.short_repr import shorten_repr
@@ -99,8 +99,8 @@ class PictureBatch:
         self,
         pictures: Any,
         *,
-        first: int = 0,
-        seed: int = 0,
+        first: Any = 0,
+        seed: Any = 0,
         exposure_time: Any = None,
         gain: Any = 1.0,
         camera: Any = None,
@@ -109,8 +109,9 @@ class PictureBatch:
 
         Args:
             pictures: Array (B, C, rows, cols) of NumPy, torch, cupy or Warp: floats, 0 or more.
-            first: Number of the first picture among all. With the seed it selects the noise.
-            seed: Seed of the noise.
+            first: Number of the first picture among all, or one number for each picture. With the
+                seed it selects the noise.
+            seed: Seed of the noise, or one for each picture.
             exposure_time: Exposure time [s], see `Simulator.expose`, or one for each picture.
             gain: Analog gain, see `Simulator.expose`, or one for each picture.
             camera: Camera with other noise, white point, lens or other settings, or one for each
@@ -149,19 +150,30 @@ class PictureBatch:
         }
         if self.simulator.tolerance is None or self._plan is not None:
             batch = self._batch(shape)
-            frames = batch(scenes, seed=seed, first=first, **settings)
+            frames = batch(scenes, seed=_as_numbers(seed), first=self._firsts(first), **settings)
             self.plans = batch.plans
             return self._return_frames(pictures, frames)
+        firsts = self._firsts(first)
+        if isinstance(firsts, int):
+            step = 1 if self._capture is None else self._capture.count
+            firsts = [firsts + item * step for item in range(len(scenes))]
+        settings |= {"first": firsts, "seed": _as_numbers(seed)}
         each = {name: one_each(name, value, len(scenes)) for name, value in settings.items()}
         capture, frames = self._capture, []
         batches = [self.simulator.batch(1, self.output, capture=capture) for _ in scenes]
-        step = 1 if capture is None else capture.count
         for item, (batch, scene) in enumerate(zip(batches, scenes, strict=True)):
             own = {name: given[item] for name, given in each.items()}
-            one = batch(scene, seed=seed, first=first + item * step, **own)
+            one = batch(scene, **own)
             frames.append(np.array(self.simulator.device.numpy(one)))
         self.plans = [batch.plans[0] for batch in batches]
         return self._return_frames(pictures, np.concatenate(frames))
+
+    def _firsts(self, first) -> int | list[int]:
+        """Return the number of the first frame, or of each picture's first frame."""
+        numbers = _as_numbers(first)
+        if np.iterable(numbers):
+            return [checked_count("first", one, 0) for one in numbers]
+        return checked_count("first", numbers, 0)
 
     def _return_frames(self, pictures, frames):
         """Return frames as an array of the pictures' library."""

@@ -72,22 +72,26 @@ class Coding:
         """
         if self.table is not None:
             colours = apply_table(self.table, colours)
-        light = np.empty(colours.shape, np.float64 if self.is_srgb else np.float32)
-        channels = colours.shape[-1]
-        for channel in range(channels):
+        *shape, channels = colours.shape
+        # channels first in memory: each is read and written in a run
+        planes = np.empty((channels, *shape), np.float64 if self.is_srgb else np.float32)
+        for channel, plane in enumerate(planes):
             curve = self.curves[channel % len(self.curves)]
-            light[..., channel] = _curve_of_codes(curve, colours[..., channel])
+            _take_light(curve, colours[..., channel], plane)
+        light = np.moveaxis(planes, 0, -1)
         if self.matrix is None:
             return light
         return np.einsum("ij,klj->kli", self.matrix.astype(np.float32), light)
 
 
-def _curve_of_codes(curve, samples):
-    """Return the light of samples; a table has that of all whole numbers."""
+def _take_light(curve, samples, out):
+    """Write the light of samples to an array; a table has that of all whole numbers."""
     if samples.dtype.kind != "u":
-        return curve(samples)
+        out[...] = curve(samples)
+        return
     most = np.iinfo(samples.dtype).max
-    return curve(np.arange(most + 1) / most)[samples]
+    table = np.asarray(curve(np.arange(most + 1) / most), out.dtype)
+    np.take(table, samples, out=out, mode="clip")  # no number is clipped, and none is checked
 
 
 LINEAR = Coding((np.asarray,))

@@ -156,7 +156,7 @@ def open_scene(
     changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
     changes["projection"] = projection
     changes = {key: value for key, value in changes.items() if value is not None}
-    return dataclasses.replace(scene, **changes)
+    return dataclasses.replace(scene, **changes) if changes else scene
 
 
 def save_scene(
@@ -284,6 +284,23 @@ def relight(path, scene: Scene, light: str | None, luminance: float | None) -> S
         why = f"mean luminance {mean:.3g} cd m-2: it cannot be scaled to {luminance:g}"
         raise BadFile(path, why)
     return dataclasses.replace(scene, content=scene.content.on_host().scale(luminance / mean))
+
+
+def open_again(
+    path, scene: Scene, *, light: str | None = None, luminance: float | None = None
+) -> Scene:
+    """Return the scene that `open_scene` would open with a light and a luminance, without reading the file.
+
+    path: of the file. scene: opened without them; no view of a panorama. light, luminance: see
+    `open_scene`. Raises BadFile, UnknownName, OutOfRange.
+    """
+    level = LUMINANCE if luminance is None else luminance
+    own = scene.illuminant.values
+    if np.array_equal(own, _named_white(LIGHT, LUMINANCE).values):
+        # no light in the file: `open_scene` would take the given one
+        white = white_radiance(illuminant(light or LIGHT), level)
+        scene = dataclasses.replace(scene, illuminant=white)
+    return relight(path, scene, light, luminance)
 
 
 def mean_luminance(scene: Scene) -> float:
