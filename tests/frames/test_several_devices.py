@@ -419,6 +419,7 @@ def test_arrays_may_be_rewritten_three_scenes_later():
 
 def test_uploads_to_two_devices_run_at_the_same_time(monkeypatch):
     """Each device has a thread that sends: the first two scenes meet there."""
+    threads = threading.active_count()
     simulator, meet, begun = gs.Simulator(CAMERA, device=pair_of_gpus()), threading.Barrier(2), []
     send = OpenCLDevice.send
 
@@ -433,7 +434,7 @@ def test_uploads_to_two_devices_run_at_the_same_time(monkeypatch):
     found = taken(simulator.stream(scenes, "raw", exposure_time=0.01))
     assert len({*begun}) == 2 and len(begun) == 6
     assert not any(thread == threading.get_ident() for _, thread in begun)
-    assert threading.active_count() == 1
+    assert threading.active_count() <= threads
     one = gs.Simulator(CAMERA, device=simulator.device)
     expected = taken(one.stream(scenes, "raw", exposure_time=0.01))
     for frame, other in zip(found, expected, strict=True):
@@ -441,6 +442,7 @@ def test_uploads_to_two_devices_run_at_the_same_time(monkeypatch):
 
 
 def test_an_upload_that_fails_ends_the_stream_after_the_frames_before(monkeypatch):
+    threads = threading.active_count()
     simulator, scenes = gs.Simulator(CAMERA, device=pair_of_gpus()), cameras.cubes(6, SIZE)
     send, begun = OpenCLDevice.send, []
 
@@ -456,7 +458,7 @@ def test_an_upload_that_fails_ends_the_stream_after_the_frames_before(monkeypatc
         for frame in simulator.stream(scenes, "raw", exposure_time=0.01):
             found.append(np.array(frame))
     assert len(found) == 3
-    assert threading.active_count() == 1
+    assert threading.active_count() <= threads
 
 
 def test_no_scenes_and_fewer_scenes_than_devices(name):

@@ -10,7 +10,6 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import closing
-from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -128,12 +127,6 @@ class Pairs:
         """Return the scene of a pair."""
         key = self._key(number, self._variety.draw(self._seed, number))
         return self._lit(key, self._read(key))
-
-    def on(self, simulator: Simulator) -> "Pairs":
-        """Return the same pairs, made by a simulator on another device."""
-        other = copy(self)
-        other._simulator, other._loop, other._ready, other._last = simulator, None, None, None
-        return other
 
     def files(self, numbers: Iterable[int]) -> Generator[tuple[str, dict[str, bytes]], None, None]:
         """Yield key and files by suffix of each pair; see `gpusim pairs --help`.
