@@ -141,8 +141,8 @@ def field_bound(probes: Probes | None, rms: float, worst: float, shaded: float) 
     found, even = probes.local(rms), probes.brightness_error(shaded)
     return Bound(
         rms,
-        float(np.hypot(worst * found.p999_sigma, even.p999_sigma)),
-        float(np.hypot(worst * found.max_sigma, even.max_sigma)),
+        worst * found.p999_sigma + even.p999_sigma,
+        worst * found.max_sigma + even.max_sigma,
     )
 
 
