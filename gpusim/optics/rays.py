@@ -29,9 +29,9 @@ MORE = 1.12  # times as many, as they are not all
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
 # points of integrals, one second of two cores: beyond it pupils are sampled (gpusim.optics.sampled)
 AFFORDABLE = 3e7
-# the same of a polygon: its O has bends if a corner meets a side, (d > 0) d^2, and if the hole meets one, d^1.5. Between
-# nodes cubics err there by up to 1/16 and 1/7 of the largest fourth difference, and `cubic_error` assumes 1/43. So the
-# error is up to 2.7 times what nodes are sought for, along and across, and in places next to holes 6 times
+# the same of a polygon. Its O has bends if a corner meets a side, (d > 0) d^2, and if the hole meets a side, d^1.5.
+# Cubics err there by up to 1/16 and 1/7 of the largest fourth difference, for which `cubic_error` takes 1/43: by 2.7
+# times what nodes are sought for, along and across, and by more in few places next to a hole
 POLYGON_NODES = 2.4e-5
 POLYGON_ERROR = 1.3e-4
 
