@@ -77,7 +77,9 @@ def sum_rows(pupil, wave, sx, sy, rows, nodes):
 @pytest.mark.parametrize("hole", [0.0, 0.3])
 @pytest.mark.parametrize("blades", [5, 6, 7, 8, 9, 11])
 def test_stated_error_of_tables_holds(blades, hole, waves):
-    """At the worst of 8000 frequencies, which the package's own integral finds, and at others: stated and not 10 times.
+    """At the worst of 8000 frequencies, which the package's own integral finds, and at others.
+
+    One error is stated for all polygons: it is less than 10 times the true one next to a hole, where bends are steepest.
 
     Rows are 1 / 3000 apart: the ends of rows bend as d^0.5 next to a hole, where a midpoint rule errs by 0.2 h^1.5 =
     4e-6 at most; elsewhere by h^2.
@@ -94,5 +96,5 @@ def test_stated_error_of_tables_holds(blades, hole, waves):
     at = np.concatenate([np.argsort(wrong)[-12:], np.arange(12)])
     true = [sum_rows(pupil, wave, sx[k], sy[k], 6000, 24 if waves else 2) for k in at]
     error = np.abs(found[at] - true).max()
-    print(blades, hole, waves, error, wrong.max())
-    assert POLYGON_ERROR / 10 < error < POLYGON_ERROR
+    assert error < POLYGON_ERROR
+    assert not hole or error > POLYGON_ERROR / 10
