@@ -79,7 +79,7 @@ def sum_rows(pupil, wave, sx, sy, rows, nodes):
 def test_stated_error_of_tables_holds(blades, hole, waves):
     """At the worst of 8000 frequencies, which the package's own integral finds, and at others.
 
-    One error is stated for all polygons: it is less than 10 times the true one next to a hole, where bends are steepest.
+    One error is stated for all polygons: less than 10 times the true one next to a hole, where bends are steepest.
 
     Rows are 1 / 3000 apart: the ends of rows bend as d^0.5 next to a hole, where a midpoint rule errs by 0.2 h^1.5 =
     4e-6 at most; elsewhere by h^2.

@@ -109,8 +109,10 @@ def varying_planes(
             len(question.weights),
         )
         own_error, bends = expansion_error(space, depth.surfaces())
-        wrong = tuple(float(np.hypot(*pair)) for pair in zip(space.error, own_error, strict=True))
-        wrong = tuple(uneven * one for one in wrong)
+        wrong = (
+            uneven * float(np.hypot(space.error[0], own_error[0])),
+            uneven * float(np.hypot(space.error[1], own_error[1])),
+        )
         bent, most = (float(np.linalg.norm(levels)) * one for one in bends)
         shaded = float(np.hypot(space.flat[0], bent)), space.flat[1] + most
     error = float(np.hypot(error, wrong[0] * np.sqrt(count) * contrast))
