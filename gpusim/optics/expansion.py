@@ -18,6 +18,7 @@ from gpusim.optics.placed import Placed
 EVEN = 1e-6  # of a flat field: gains nearer to 1 are left out
 # circles of confusion at which polynomials of degree 0 are compared with the kernels; two more a degree
 CHECKS = 5
+WIDE = 2  # [pixel] of circles of confusion around a tile's middle, up to which the stage lets flat fields change
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,20 +74,37 @@ def choose_terms(
     )
 
 
-def expansion_error(made: KernelSpace, surfaces) -> float:
-    """Return the relative RMS error of a natural scene by the terms of layers.
+def expansion_error(made: KernelSpace, surfaces):
+    """Return relative errors of the terms of layers: RMS and largest of a natural scene, and of flat fields.
 
     surfaces: coverage and circles of confusion of each layer, pairs of (rows, cols).
     """
-    worst = 0.0
+    worst, most, even = 0.0, 0.0, [(0.0, 0.0)]
     for cover, confusion in surfaces:
         middle, half, is_there = _spans(made.edges, confusion, cover)
         if is_there.any():
             errors = [
                 _polynomials(made, values, middle, half, is_there)[1] for values in made.values
             ]
-            worst = max(worst, float(np.sum(errors, axis=0)[is_there].mean()))
-    return float(np.sqrt(worst))
+            each = np.sum(errors, axis=0)[is_there]
+            worst, most = max(worst, float(each.mean())), max(most, float(each.max()))
+            even.append(_even_error(made, middle, half, is_there))
+    return (float(np.sqrt(worst)), float(np.sqrt(most))), tuple(map(max, zip(*even, strict=True)))
+
+
+def _even_error(made, middle, half, is_there):
+    """Return what straight lines over the circle of confusion miss of flat fields: RMS and largest."""
+    terms = _even(made, middle)
+    if terms is None:
+        return 0.0, 0.0
+    even = made.even - made.even[:, :, [made.reference]]
+    wrong = []
+    for x in np.linspace(-1, 1, CHECKS):
+        at = node_weights(made.nodes, middle + half * x)
+        true = np.einsum("tn,ctn->ct", at, even)
+        line = terms[..., 0] + terms[..., 3] * np.clip(half * x, -WIDE, WIDE)
+        wrong.append((line - true)[:, is_there])
+    return float(np.sqrt(np.mean(np.square(wrong)))), float(np.abs(wrong).max())
 
 
 def _spans(edges, confusion, cover, placed=None):

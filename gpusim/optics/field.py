@@ -57,7 +57,7 @@ class FieldBlur:
     (kernels, planes, m, m). index: kernel of each tile's terms, shape (tiles, terms). edges: the tiles' boundaries
     along rows and columns [source pixel]. error: relative RMS of a natural image, root mean square and largest over
     the probed places. convolutions: how many kernels a pixel's light goes through. cost: arithmetic of the transforms
-    per plane and frame [flop]. flat: relative RMS error of flat fields, see `FlatField`.
+    per plane and frame [flop]. flat: relative RMS error of flat fields, and the largest, see `FlatField`.
     """
 
     method: str
@@ -68,7 +68,7 @@ class FieldBlur:
     error: tuple[float, float]
     convolutions: int
     cost: float
-    flat: float = 0.0
+    flat: tuple[float, float] = (0.0, 0.0)
 
     @cached_property
     def coefficients(self) -> np.ndarray:
@@ -97,8 +97,8 @@ class FieldBlur:
         """Line of the report."""
         return (
             f"{self.method}, {self.convolutions} convolutions ({len(self.kernels)} kernels, {len(self.index)} "
-            f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, {self.flat:.1e} "
-            "in flat fields"
+            f"tiles): image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst place, "
+            f"{self.flat[0]:.1e} in flat fields"
         )
 
 
@@ -114,7 +114,7 @@ def choose(
     truth = _kernels(lens, probes)
 
     def missed(blur):
-        return max(blur.error[0] / tolerance, blur.flat / flat.tolerance if flat else 0.0)
+        return max(blur.error[0] / tolerance, blur.flat[0] / flat.tolerance if flat else 0.0)
 
     known = {"truth": (probes, truth), "flat": flat, "groups": groups}
     candidates = [eigen_kernels(lens, shape, tolerance=tolerance, **known)]
@@ -214,7 +214,7 @@ def overlap_add(
     (ty, v), (tx, u) = (one.at(probes[:, axis]) for axis, one in enumerate(axes))
     weights = np.einsum("na,nb->nab", v, u).reshape(len(probes), terms)
     mixed = np.einsum("nk,nkpij->npij", weights, kernels[index[ty * tiles[1] + tx]], optimize=True)
-    wrong = 0.0
+    wrong = 0.0, 0.0
     if flat:
         rows, cols = (one.dense(at) for one, at in zip(axes, flat.axes, strict=True))
         wrong = flat.error(kernels, _window_maps(rows, cols))
@@ -347,13 +347,13 @@ def eigen_kernels(
 
     def flat_error(count):
         if flat is None:
-            return 0.0
+            return 0.0, 0.0
         weights = np.concatenate([np.ones((1, *between.shape[1:])), between[: count - 1]])
         return flat.error(np.concatenate([mean[None], basis[: count - 1]]), weights)
 
     def is_enough(count):
         is_sharp = error(count)[0] <= tolerance
-        return is_sharp and (flat is None or flat_error(count) <= flat.tolerance)
+        return is_sharp and (flat is None or flat_error(count)[0] <= flat.tolerance)
 
     most = vectors.shape[1] + 1
     if terms is None:
@@ -419,20 +419,25 @@ class FlatField:
         between = interpolate(nodes, moments.reshape(len(places), -1), *self.axes)
         self.moments = between.reshape(*moments.shape[1:], *map(len, self.axes))
 
-    def error(self, kernels, coefficients) -> float:
-        """Relative RMS error of flat fields by kernels (terms, planes, m, m) with coefficients (terms, *axes)."""
+    def error(self, kernels, coefficients) -> tuple[float, float]:
+        """Relative RMS error of flat fields, and the largest, of kernels (terms, planes, m, m).
+
+        coefficients: (terms, *axes).
+        """
         moments = moments_of(kernels)
         # (planes, 5, rows, cols)
         wrong = np.tensordot(moments, coefficients, (0, 0)) - self.moments
         if min(wrong.shape[2:]) < 3:
-            return 0.0
+            return 0.0, 0.0
         down, across = (
             lambda values, axis=axis: np.gradient(values, self.axes[axis], axis=axis + 1)
             for axis in (0, 1)
         )
         y, x, yy, xx, yx = wrong.swapaxes(0, 1)
         flat = down(down(yy)) / 2 + across(across(xx)) / 2 + down(across(yx)) - down(y) - across(x)
-        return float(np.sqrt(self.levels**2 @ np.square(flat).mean(axis=(1, 2))))
+        largest = np.tensordot(self.levels**2, np.square(flat), 1).max()
+        mean = self.levels**2 @ np.square(flat).mean(axis=(1, 2))
+        return float(np.sqrt(mean)), float(np.sqrt(largest))
 
 
 def moments_of(kernels):

@@ -7,6 +7,7 @@ The kernels are differences from one kernel, of the axis and of one distance, wi
 the part that reaches far, and blurs the whole frame.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,6 +31,8 @@ MOST_TERMS = 64
 MOST_DEGREE = 12
 LEAST_TILE = 8  # [pixel] a side
 WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of the place
+NEAR_LINES = 3  # [pixel] on both sides of an edge between tiles, in which nearly all of a line lies
+ALONG = np.array([-1.0, 0.0, 1.0])  # places along an edge between tiles, of half its length
 TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
 
 
@@ -48,7 +51,7 @@ class KernelSpace:
             middle of each tile.
         even_slopes: Their changes to a tile's sides, along rows and along columns, shape (2, channels, tiles, N).
         error: Relative RMS error of a natural scene, root mean square and largest.
-        flat: Relative RMS error of flat fields.
+        flat: Relative RMS error of flat fields, and the largest, at the places where tiles meet.
         limit: Relative RMS error of a natural scene that `expand` may make.
         reference: Number of the node whose kernel on the axis is subtracted.
     """
@@ -62,7 +65,7 @@ class KernelSpace:
     even: np.ndarray
     even_slopes: np.ndarray
     error: tuple[float, float]
-    flat: float
+    flat: tuple[float, float]
     limit: float
     reference: int
 
@@ -73,7 +76,7 @@ class KernelSpace:
         return (
             f"expansions by place and distance of {len(self.kernels)} eigen-kernels of {m} x {m} samples in "
             f"{self.values.shape[1]} tiles: image error {self.error[0]:.1e} rms, {self.error[1]:.1e} at the worst "
-            f"place, {self.flat:.1e} in flat fields"
+            f"place, {self.flat[0]:.1e} in flat fields"
         )
 
     @property
@@ -120,21 +123,19 @@ def make_space(
     """
     nodes = np.asarray(nodes, np.float64)
     reference = int(np.abs(nodes).argmin())
-    basis, down, across, degrees, values, weights, even, even_slopes, rms, most, flat = (
-        _make_arrays(
-            lens,
-            np.asarray(wavelengths),
-            mix,
-            tuple(shape),
-            corner,
-            room,
-            limit,
-            np.asarray(distances),
-            reference,
-            covers,
-            np.asarray(levels),
-            flat_limit,
-        )
+    basis, down, across, degrees, values, weights, even, even_slopes, *errors = _make_arrays(
+        lens,
+        np.asarray(wavelengths),
+        mix,
+        tuple(shape),
+        corner,
+        room,
+        limit,
+        np.asarray(distances),
+        reference,
+        covers,
+        np.asarray(levels),
+        flat_limit,
     )
     return KernelSpace(
         basis,
@@ -145,8 +146,8 @@ def make_space(
         weights,
         even,
         even_slopes,
-        (rms, most),
-        flat,
+        tuple(errors[:2]),
+        tuple(errors[2:]),
         limit / 2,
         reference,
     )
@@ -199,7 +200,7 @@ def _make_arrays(
             uneven = shading.error(basis[:held], coefficients[:, :held])
         basis, coefficients, left = basis[:held], coefficients[:, :held], float(left[:held][-1])
         coefficients = coefficients.reshape(len(places), -1)
-        error = (left, left)
+        error, peak = (left, left), 0.0
         if is_uniform:
             break
         between = _at(axes, coefficients, probes).reshape(len(wanted), -1)
@@ -208,30 +209,32 @@ def _make_arrays(
         uneven = float(
             np.hypot(uneven, shading.error_between(np.tensordot(between, basis, 1), wanted))
         )
+        peak = shading.find_largest(basis, coefficients.reshape(-1, len(basis)), probes, wanted)
         if error[0] <= limit and uneven <= flat_limit / 2:
             break
     weights = _weights(basis)
     moments = moments_of(basis)  # (K, planes, 5)
     for degree, largest in _choices(shape, is_uniform):
         edges = _tiles(shape, m, largest)
-        degrees, values, rest, jumps = _in_tiles(edges, shape, axes, coefficients, circles, degree)
-        left_out = float(np.sqrt((rest**2 @ weights).mean()))
-        # light that moves or widens differently on both sides of an edge between tiles: a line, and two of half
-        lines = 0.0
-        for axis, (jump, edge) in enumerate(zip(jumps, edges, strict=True)):
-            if jump.size:
-                moved, widened = jump @ moments[..., axis], jump @ moments[..., 2 + axis]
-                square = (moved**2 + widened**2 / 2) @ np.square(levels)
-                lines += float(square.mean() / np.diff(edge).max())
-        lines = float(np.sqrt(lines))
+        degrees, values, rest = _in_tiles(edges, shape, axes, coefficients, circles, degree)
+        wrong = rest**2 @ weights
+        left_out = float(np.sqrt(wrong.mean()))
+        lines, line = 0.0, 0.0
+        if not is_uniform:
+            lines, line = _line_errors(
+                edges, shape, axes, coefficients, degrees, values, basis, levels
+            )
         if left_out <= limit / 2 and lines <= flat_limit / 2:
             break
-    even, even_slopes = _flat_fields(
-        edges, shape, axes, coefficients, moments[:, planes - covers :], circles
+    even, even_slopes, bent = _flat_fields(
+        edges, shape, axes, coefficients, moments[:, planes - covers :], circles, reference
     )
-    left = float(np.hypot(error[0], left_out)), float(np.hypot(error[1], left_out))
-    flat = float(np.hypot(lines, uneven))
-    return basis, *edges, np.array(degrees), values, weights, even, even_slopes, *left, flat
+    worst = float(np.sqrt(wrong.max()))
+    left = float(np.hypot(error[0], left_out)), float(np.hypot(error[1], worst))
+    size = float(np.linalg.norm(levels))
+    flat = float(np.sqrt(lines**2 + uneven**2 + (size * bent[0]) ** 2))
+    most = line + peak + size * bent[1]
+    return basis, *edges, np.array(degrees), values, weights, even, even_slopes, *left, flat, most
 
 
 def _choices(shape, is_uniform):
@@ -289,16 +292,38 @@ class _Shading:
 
     def error(self, basis, coefficients) -> float:
         """Return the relative RMS error of flat fields by a basis with coefficients."""
-        counts = [len(axis) for axis in self._axes]
-        if max(counts) == 1:
+        if max(map(len, self._axes)) == 1:
             return 0.0
+        total = self._shade(basis, coefficients)
+        return float(np.sqrt(np.square(total).mean(axis=(0, 1, 2)) @ self._levels**2))
+
+    def _shade(self, basis, coefficients):
+        """Return errors of flat fields at the places, (rows, cols, N, planes)."""
+        counts = [len(axis) for axis in self._axes]
         wrong = np.tensordot(coefficients, moments_of(basis), 1) - self._moments
         wrong = wrong.reshape(*counts, -1, *wrong.shape[1:])
         total = np.zeros(wrong.shape[:-1])
         for axis, count in enumerate(counts):
             if count > 1:
                 total -= np.gradient(wrong[..., axis], self._axes[axis], axis=axis)
-        return float(np.sqrt(np.square(total).mean(axis=(0, 1, 2)) @ self._levels**2))
+        return total
+
+    def find_largest(self, basis, coefficients, places, wanted) -> float:
+        """Return the largest relative error of flat fields, at places of the grid and between them.
+
+        wanted: the right kernels at other places, (places times N, planes, m, m). Errors of
+        interpolation change their sign from one cell of the grid to the next; those of the basis do not.
+        """
+        own = float(np.sqrt((np.square(self._shade(basis, coefficients)) @ self._levels**2).max()))
+        grid = self._moments.reshape(np.prod([len(axis) for axis in self._axes]), -1)
+        wrong = moments_of(wanted)
+        wrong = _at(self._axes, grid, places).reshape(wrong.shape) - wrong
+        square = 0.0
+        for axis, at in enumerate(self._axes):
+            if len(at) > 1:
+                slope = np.pi / (at[1] - at[0]) * wrong[..., axis]
+                square = square + np.square(slope) @ self._levels**2
+        return own + float(np.sqrt(np.max(square)))
 
     def error_between(self, kernels, wanted) -> float:
         """Return the relative RMS error of flat fields by kernels between the grid's places (n, planes, m, m).
@@ -380,8 +405,7 @@ def _in_tiles(edges, shape, axes, coefficients, count, degree):
     """Return polynomials of the place in the tiles.
 
     Returns:
-        Their degrees, their values, see `KernelSpace`, what they leave out of the coefficients (n, K), and how these
-        jump across the edges between tiles, of rows and of columns.
+        Their degrees, their values, see `KernelSpace`, and what they leave out of the coefficients (n, K).
     """
     (y, down), (x, across) = middles_of(edges, shape)
     tiles, kernels = len(y) * len(x), coefficients.shape[1] // count
@@ -407,14 +431,57 @@ def _in_tiles(edges, shape, axes, coefficients, count, degree):
         )
 
     if not degree:
-        return degrees, values, np.zeros((1, kernels)), (np.zeros(0), np.zeros(0))
+        return degrees, values, np.zeros((1, kernels))
     checks = [(dy, dx) for dy in (-1, -0.5, 0, 0.5, 1) for dx in (-1, 0, 0.5, 1)]
     rest = np.concatenate([(at(*one) - made(*one)).reshape(-1, kernels) for one in checks])
-    grid = (len(y), len(x), count, kernels)
-    low_y, high_y, low_x, high_x = (
-        made(*one).reshape(grid) for one in ((-1, 0), (1, 0), (0, -1), (0, 1))
-    )
-    return degrees, values, rest, (high_y[:-1] - low_y[1:], high_x[:, :-1] - low_x[:, 1:])
+    return degrees, values, rest
+
+
+def _line_errors(edges, shape, axes, coefficients, degrees, values, basis, levels):
+    """Return errors of flat fields by polynomials of the place in tiles: RMS of the frame, and the largest.
+
+    Polynomials of neighbours have different values and slopes where they meet, as at the frame's edge, beyond which
+    kernels stay the same: lines in flat fields. A flat field is the sum of all kernels. Next to a line the kernels
+    change mainly across it, so this is a sum along the kernels' profile, at some places along the line. The lines of
+    rows and of columns cross: their largest errors are added.
+    """
+    middles = middles_of(edges, shape)
+    kernels, reach, wide = values.shape[2:], basis.shape[-1] // 2, 2 * NEAR_LINES
+    values = values.reshape(len(degrees), len(edges[0]) - 1, len(edges[1]) - 1, -1)
+    grid = coefficients.reshape(*map(len, axes), -1)
+    squares, most = 0.0, [0.0, 0.0]
+    for axis in (0, 1):
+        edge, size = edges[axis], shape[axis]
+        (middle, half), (other, length) = middles[axis], middles[1 - axis]
+        along = (other[:, None] + length[:, None] * ALONG).ravel()
+        along = np.clip(along, 0, shape[1 - axis] - 1)
+        spot = np.tile(ALONG, len(other))
+        between = np.tensordot(_spline_weights(axes[1 - axis], along), grid, (1, 1 - axis))
+        own = np.repeat(np.moveaxis(values, 1 + axis, 1), len(ALONG), axis=2)
+        profile = basis.sum(axis=3 - axis)  # (K, planes, m)
+        lines = np.clip(edge, 0, size)
+        for n, start in enumerate([*lines, *np.rint(middle).astype(int)]):
+            # sources of the light at `wide` places
+            first = start - NEAR_LINES
+            places = np.clip(np.arange(first - reach, first + wide + reach), 0, size - 1)
+            tile = np.clip(np.searchsorted(edge, places, side="right") - 1, 0, len(edge) - 2)
+            place = (places - middle[tile]) / half[tile]
+            wrong = -np.tensordot(_spline_weights(axes[axis], places), between, (1, 1))
+            for degree, value in zip(degrees, own, strict=True):
+                weight = chebyshev(degree[axis], place)[:, None]
+                weight = weight * chebyshev(degree[1 - axis], spot)
+                wrong += weight[..., None] * value[tile]
+            wrong = wrong.reshape(*wrong.shape[:2], *kernels)
+            inside = [k for k in range(wide) if 0 <= first + k < size]
+            seen = sum(
+                np.tensordot(wrong[[2 * reach - k + i for i in inside]], profile[..., k], 1)
+                for k in range(2 * reach + 1)
+            )
+            error = np.square(seen) @ np.square(levels)  # (places, along, N)
+            most[axis] = max(most[axis], float(np.sqrt(error.max())))
+            mean = error.mean(axis=(1, 2))
+            squares += float(mean.sum() / size if n < len(lines) else mean.mean() / len(middle))
+    return float(np.sqrt(squares)), sum(most)
 
 
 def chebyshev_solver(degree: int) -> np.ndarray:
@@ -430,13 +497,16 @@ def chebyshev(degree, at):
     return np.cos(degree * np.arccos(np.clip(at, -1, 1)))
 
 
-def _flat_fields(edges, shape, axes, coefficients, moments, count):
-    """Return flat fields in the tiles' middles, (channels, tiles, N), and their slopes: see `KernelSpace`."""
+def _flat_fields(edges, shape, axes, coefficients, moments, count, reference):
+    """Return flat fields in the tiles' middles, (channels, tiles, N), and their slopes: see `KernelSpace`.
+
+    The last result is what these leave out of the differences from the reference: RMS, and the largest.
+    """
     channels, kernels = moments.shape[1], len(moments)
     (y, down), (x, across) = middles_of(edges, shape)
     tiles = len(y) * len(x)
     if coefficients.shape[0] == 1:
-        return np.ones((channels, tiles, count)), np.zeros((2, channels, tiles, count))
+        return np.ones((channels, tiles, count)), np.zeros((2, channels, tiles, count)), (0.0, 0.0)
     fine = [
         np.linspace(0, size - 1, min(4 * len(axis), size))
         for size, axis in zip(shape, axes, strict=True)
@@ -462,4 +532,9 @@ def _flat_fields(edges, shape, axes, coefficients, moments, count):
         at_places = np.stack(np.meshgrid(rows, cols, indexing="ij"), axis=-1).reshape(-1, 2)
         return by_place(at_places).T.reshape(channels, count, tiles).swapaxes(1, 2)
 
-    return at(0, 0), np.stack([(at(1, 0) - at(-1, 0)) / 2, (at(0, 1) - at(0, -1)) / 2])
+    even, slopes = at(0, 0), np.stack([(at(1, 0) - at(-1, 0)) / 2, (at(0, 1) - at(0, -1)) / 2])
+    bends = []
+    for dy, dx in itertools.product((-1, 0, 1), repeat=2):
+        rest = at(dy, dx) - even - dy * slopes[0] - dx * slopes[1]
+        bends.append(rest - rest[..., [reference]])
+    return even, slopes, (float(np.sqrt(np.mean(np.square(bends)))), float(np.abs(bends).max()))

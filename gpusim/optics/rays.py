@@ -29,7 +29,11 @@ MORE = 1.12  # times as many, as they are not all
 CUBIC_ERROR = 4e-6  # of the device's cubics along the rays and of those across them
 # points of integrals, one second of two cores: beyond it pupils are sampled (gpusim.optics.sampled)
 AFFORDABLE = 3e7
-POLYGON_ERROR = 2.4e-5  # the same: O's second derivative jumps at frequencies at which a polygon's corners meet sides
+# the same of a polygon. Its O has bends if a corner meets a side, (d > 0) d^2, and if the hole meets a side, d^1.5.
+# Cubics err there by up to 1/16 and 1/7 of the largest fourth difference, for which `cubic_error` takes 1/43: by 2.7
+# times what nodes are sought for, along and across, and by more in few places next to a hole
+POLYGON_NODES = 2.4e-5
+POLYGON_ERROR = 1.3e-4
 
 
 def radial_table(outline: Pupil, waves, error=CUBIC_ERROR) -> np.ndarray:
@@ -92,11 +96,11 @@ def polar_table(outline: Pupil, waves, error=None):
 
     The rays are even over half a turn, both ends included. The nodes are spaced as in
     `radial_table`, up to the cut-off of each ray. O at the opposite frequency is the conjugate. The
-    numbers of rays and nodes are chosen for an error of cubics through them below `error` each, by
-    default CUBIC_ERROR or POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
+    numbers of rays and nodes are chosen for a `cubic_error` below `error` each, by default CUBIC_ERROR or
+    POLYGON_NODES, with which cubics err by up to POLYGON_ERROR. Raises OutOfRange as `transfer`, DoesNotFit.
     """
     range_, scaled, to_bands = scales(waves)
-    error = error or (POLYGON_ERROR if outline.sides.size else CUBIC_ERROR)
+    error = error or (POLYGON_NODES if outline.sides.size else CUBIC_ERROR)
     table, first, sectors = _rays(outline, scaled.tobytes(), scaled.shape, range_, error)
     require_memory("transfer tables", 32 * len(waves) * table[0].size)
     return np.tensordot(to_bands, table, 1), first, sectors
@@ -182,7 +186,7 @@ def cubic_error(table) -> float:
     """Return the largest error of cubics through the nodes along the last axis, from the fourth differences.
 
     Between the middle two of four nodes h apart it is 9 / 384 h^4 of the fourth derivative, in the
-    outer cells 1 / 24.
+    outer cells 1 / 24. This holds for smooth functions; see POLYGON_ERROR for others.
     """
     fourth = np.abs(np.diff(table, 4, axis=-1))
     return float(max(9 / 384 * fourth.max(initial=0), fourth[..., [0, -1]].max() / 24))

@@ -8,14 +8,17 @@ import numpy as np
 from gpusim.domain.account import UNKNOWN, Account, Bound, Tolerance, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.sensor import Sensor
+from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import Watch
 from gpusim.optics.geometry import DistortionGrid
+from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lengths import Tiling
 from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Sampling
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import border, highlights, pixels, spectral
 from gpusim.planner.knobs.blur import doubt_of
 from gpusim.planner.knobs.farfield import FarField
+from gpusim.planner.knobs.field import field_bound
 from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Notes, Question
@@ -159,7 +162,11 @@ def _planes(plan, probes):
         return own
     watch, fusion = plan.find(Watch), plan.find(Fusion)
     if watch is None or fusion is None:
-        return probes.local(own.rms)
+        varying = plan.find(KernelSpace) or plan.find(FieldBlur)
+        if varying is None:
+            return probes.local(own.rms)
+        (rms, most), (_, shaded) = varying.error, varying.flat
+        return field_bound(probes, own.rms, max(most / max(rms, 1e-300), 1.0), shaded)
     *_, (_, bound) = probes.fused_bounds(watch.inputs, fusion.transfers)
     return bound
 

@@ -241,7 +241,7 @@ def cases():
     """
     why = (
         "cubics through nodes h apart err by (w h)^4 / 40 for a ripple of w radians; as many nodes as keep "
-        "that below 4e-6 of O(0) = 1, and 3e-5 of a polygon at worst; the replicas' weights sum to at most 2; "
+        "that below 4e-6 of O(0) = 1, and 3e-5 of these polygons; the replicas' weights sum to at most 2; "
         "float32 adds 1e-6"
     )
     blur = np.pad(disc_power(1), (0, 2))

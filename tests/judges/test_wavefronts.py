@@ -18,7 +18,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.kernels.optics.pupil import polar_table, pupil, radial_table
 from gpusim.optics.otf import transfer
-from gpusim.optics.rays import CUBIC_ERROR, POLYGON_ERROR
+from gpusim.optics.rays import CUBIC_ERROR, POLYGON_NODES
 from gpusim.optics.tables import transfer_tables
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(16)
@@ -198,7 +198,7 @@ def test_tables_that_planners_look_at(optics):
         seen *= np.exp(-2 * (np.pi * optics.diffuser / pitch) ** 2 * (fy**2 + fx**2))
         expected = seen.reshape(9, len(y), 9, 4).sum(axis=(0, 2))
         assert np.abs(table - expected).max() < 2 * (
-            POLYGON_ERROR if optics.pupil.blades else CUBIC_ERROR
+            POLYGON_NODES if optics.pupil.blades else CUBIC_ERROR
         )
 
 

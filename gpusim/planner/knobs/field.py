@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from gpusim.domain.account import Bound
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.expansion import expansion_error
 from gpusim.optics.field import (
@@ -14,6 +15,7 @@ from gpusim.optics.field import (
 )
 from gpusim.optics.fusion import Response, channel_operator, joint_operator
 from gpusim.optics.kernel_space import KernelSpace, make_space
+from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
 FIELD_TOLERANCE = 5e-4  # relative RMS error of a field-varying blur without a tolerance
@@ -39,8 +41,8 @@ def varying_planes(
             kernels, the planes and the coverage in each channel.
 
     Returns:
-        Planes from spectra, transfers on the axis, mix, the difference from the axis, error and
-        description.
+        Planes from spectra, transfers on the axis, mix, the difference from the axis, error (see
+        `field_bound`) and description.
     """
     limit = question.limit or FIELD_TOLERANCE
     count, table, each, error = _planes(question, response, prior, limit)
@@ -91,7 +93,7 @@ def varying_planes(
             _round_down(np.maximum(levels, 1e-12)),
             _round_down(limit),
         )
-        wrong = varying.error[0]
+        wrong, shaded = varying.error, varying.flat
     else:
         wanted = limit / (contrast * uneven)
         varying = space = question.cache(
@@ -106,17 +108,44 @@ def varying_planes(
             depth.kernels,
             len(question.weights),
         )
-        wrong = float(np.hypot(space.error[0], expansion_error(space, depth.surfaces())))
-        wrong *= uneven
-    error = float(np.hypot(error, wrong * np.sqrt(count) * contrast))
-    error = float(np.hypot(error, varying.flat))
+        own_error, bends = expansion_error(space, depth.surfaces())
+        wrong = (
+            uneven * float(np.hypot(space.error[0], own_error[0])),
+            uneven * float(np.hypot(space.error[1], own_error[1])),
+        )
+        bent, most = (float(np.linalg.norm(levels)) * one for one in bends)
+        shaded = float(np.hypot(space.flat[0], bent)), space.flat[1] + most
+    error = float(np.hypot(error, wrong[0] * np.sqrt(count) * contrast))
+    error = float(np.hypot(error, shaded[0]))
     if not question.lens.is_uniform:
         error = float(np.hypot(error, _border_error(question, varying)))
     words = (
         f"the blur on the axis, {count} plane{'s' if count > 1 else ''} a channel in place of "
         f"{len(question.content.wavelengths)} wavelengths"
     )
-    return table, transfers[None], mix, varying, error, words
+    worst = max(wrong[1] / max(wrong[0], 1e-300), 1.0), shaded[1]
+    return table, transfers[None], mix, varying, (error, *worst), words
+
+
+def field_bound(probes: Probes | None, rms: float, worst: float, shaded: float) -> Bound:
+    """Return the bound of planes whose kernels differ over the field.
+
+    The 99.9 % and the largest are those of the worst places.
+
+    Args:
+        probes: Of the scene, if there is a tolerance.
+        rms: Relative RMS error.
+        worst: Error of a natural scene at the worst place, over its RMS.
+        shaded: Largest relative error of flat fields.
+    """
+    if probes is None:
+        return Bound(rms)
+    found, even = probes.local(rms), probes.brightness_error(shaded)
+    return Bound(
+        rms,
+        worst * found.p999_sigma + even.p999_sigma,
+        worst * found.max_sigma + even.max_sigma,
+    )
 
 
 def _sizes(table, moments, power=1.0):

@@ -25,7 +25,7 @@ from gpusim.optics.tables import field_tables
 from gpusim.optics.windows import Windows
 from gpusim.planner.choices import Fusion, Planes
 from gpusim.planner.facts import Operation
-from gpusim.planner.knobs.field import varying_planes
+from gpusim.planner.knobs.field import field_bound, varying_planes
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.knobs.pixels import taps_of
 from gpusim.planner.probes import COUNT, INNER, LEAST_WINDOWS, RIM, SIDE, Probes
@@ -125,7 +125,7 @@ def ways(question: Question, probes: Probes | None, depth: DepthPlan | None = No
         )
         table = inputs @ question.content.entry_spectra.T
         made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying))
-        bound = Bound(wrong) if probes is None else probes.local(wrong)
+        bound = field_bound(probes, *wrong)
         return [Way(len(inputs), bound, words, lambda _: made)]
     exact = _exact(question.content, even, flat)
     if probes is None:
