@@ -41,7 +41,7 @@ class Creases:
 def find_creases(pupil: Pupil, waves) -> Creases:
     """Return the creases of a polygon's transfer functions with wavefronts (bands, n, n) [waves]."""
     waves = np.asarray(waves, np.float64)
-    count, inner = pupil.blades, pupil.inner_radius
+    count, inner = pupil.sides.size, pupil.inner_radius
     reach = np.sin(np.pi / count)  # half of a side
     is_even = count % 2 == 0
     range_ = int(np.ceil(peak_to_valley(waves))) + 1

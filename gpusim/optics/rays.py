@@ -131,6 +131,9 @@ def _rays(outline, values, shape, range_, error):
             return series(s, turn[:-1][rays], wanted)
         return _polygon_rays(outline, scaled[wanted], s, first, turn, per_sector, rays)
 
+    if sides:  # refused before anything is integrated
+        own = _mirror_rays(scaled[strongest], sectors * per_sector, per_sector)
+        require_points(outline, scaled[strongest], len(np.unique(own)) * length)
     # one wavefront finds at some rays and at some nodes how many it takes; all are held against the error everywhere
     while True:
         some = np.arange(0, per_sector * min(sectors, 3), -(-3 * per_sector // SOME_RAYS))
@@ -156,6 +159,16 @@ def _rays(outline, values, shape, range_, error):
     return table, first, sectors
 
 
+def _mirror_rays(waves, count, per_sector):
+    """Return the number of the ray that has the values of each of `count` rays."""
+    rays = np.arange(count)
+    if symmetric(
+        Pupil(), waves
+    ):  # the polygon's mirror lines are two sectors apart: one part makes all
+        rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
+    return rays
+
+
 def _error_across(table, sectors, per_sector):
     """Largest error of cubics across the rays (bands, rays, n) of each sector, both ends included."""
     turned = np.moveaxis(np.concatenate([table, table[:, :1].conj()], axis=1), 1, -1)
@@ -170,10 +183,7 @@ def _polygon_rays(outline, waves, s, first, turn, per_sector, wanted):
     sides, inner = outline.cutoff
     step = 2 * np.pi / sides
     ends = inner / np.cos(turn - step * np.rint(turn / step))
-    rays = np.arange(len(turn) - 1)
-    # the polygon's mirror lines are two sectors apart: one part makes all
-    if symmetric(Pupil(), waves):
-        rays = np.abs((rays + 2 * per_sector) % (4 * per_sector) - 2 * per_sector)
+    rays = _mirror_rays(waves, len(turn) - 1, per_sector)
     own, rays = np.unique(rays[wanted], return_inverse=True)
     require_points(outline, waves, len(own) * len(s))
     radius, angle = (ends[:, None] * s)[own], first + turn[own, None]

@@ -133,6 +133,7 @@ ROWS = {
         "pictures": (f"{CHART} -o out", "--pictures"),
         "in_shard": (f"{CHART} --each 3 -o out", "--in-shard 2"),
         "shard": (f"{CHART} --each 3 --in-shard 2 -o out", "--shard 1/2"),
+        "jobs": (f"{CHART} --each 3 --in-shard 2 -o out", "--jobs 2"),
     },
     "preview": SCENE
     | MOVING
@@ -431,7 +432,7 @@ def test_every_option_has_a_row():
 RECORDED = set("scene camera device exposure iso f_number focus scaling out shard strict".split())
 RECORDED_BY = {
     "video": {"frames", "any_order", "codec", "quality", "lerobot"},
-    "pairs": {"vary"},
+    "pairs": {"vary", "jobs"},
 }
 
 

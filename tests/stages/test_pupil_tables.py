@@ -243,7 +243,7 @@ def test_large_tables_of_a_defocused_circle_are_the_integral():
 
 @pytest.mark.parametrize("device", ["opencl", "warp:cpu"])
 @pytest.mark.parametrize("outline", [Pupil(6), Pupil(5, 0.2, 0.1), Pupil(4, 0, np.pi / 4)])
-@pytest.mark.parametrize("is_aberrated", [False, True])
+@pytest.mark.parametrize("is_aberrated", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_large_tables_behind_blades_are_the_integral(outline, is_aberrated, device):
     """Near the lines across which O changes its slope, too: sides of the pupil along an axis, and any others.
 
