@@ -233,6 +233,7 @@ def test_rendered_frames_are_those_of_rays(ratio, optics, coefficients):
     assert np.sqrt(np.mean(error**2)) < LIMITS[ratio] / 5
 
 
+@pytest.mark.slow  # a control: what the test before would find
 def test_without_depth_or_calibration_frames_are_wrong():
     """So that the test above can fail: all in focus, and through a pinhole."""
     scene = scene_of(2, 0.2)
