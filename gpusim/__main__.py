@@ -11,9 +11,6 @@ import sys
 # Exit statuses. After another signal the status is 128 + its number, as in shells.
 INTERRUPTED, FAILED = 2, 2
 GONE = 128 + 13  # the reader of the output has ended, like `head`: SIGPIPE
-# Commands that keep all cores at work by threads of their own. NumPy's BLAS would wait for its
-# threads in loops that take processor time: a third of the time of `pairs` on two cores.
-THREADED = ("pairs",)
 
 
 def start() -> int:
@@ -26,8 +23,6 @@ def start() -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
-    if sys.argv[1:] and sys.argv[1] in THREADED:
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when NumPy is loaded
     try:
         status = _run()
     except BaseException:  # libraries turn it into other exceptions while they are loaded

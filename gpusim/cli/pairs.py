@@ -83,7 +83,7 @@ class PairsRequest(Request):
         in_key=False,
         type=whole(1, 1024),
         metavar="N",
-        help="processes that share the tar files, each with memory of its own (default: by the cores, the "
+        help="processes that share the tar files, each with its own memory (default: from the cores, the "
         "number of pairs and the device's memory)",
     )
     shard: Shard = shard_option("part I of N of the tar files, counted from 0")
