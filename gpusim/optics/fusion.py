@@ -34,7 +34,7 @@ without moments.
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import inf, sqrt
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -359,6 +359,29 @@ def channel_operator(response: Response, planes: int) -> ChannelOperator:
     return best
 
 
+class Surveyed(NamedTuple):
+    """What a survey says of a content.
+
+    Attributes:
+        drift: Relative RMS error of the planes, predicted.
+        steepest: The same of the pair of rows with the largest one, over the signal of all rows.
+        roughness: RMS of the signal's differences between neighbours over the RMS of the signal.
+        roughest: The same of the pair of rows with the largest one.
+        level: RMS of the signal, in units of the watch.
+    """
+
+    drift: float = 0.0
+    steepest: float = 0.0
+    roughness: float = 0.0
+    roughest: float = 0.0
+    level: float = 0.0
+
+    @property
+    def measures(self) -> tuple[float, ...]:
+        """Numbers that grow with a plan's errors: relative ones, and these over the shot noise of the signal."""
+        return (*self[:4], *(sqrt(self.level) * value for value in self[:4]))
+
+
 @dataclass(frozen=True, eq=False)
 class Watch:
     """Projections to measure of a content that a plan's input table takes, and the error that follows.
@@ -438,6 +461,29 @@ class Watch:
         nothing = np.zeros((0, bands)), np.zeros((channels, 0, bands))
         return cls.of(wrong, *nothing, content, shape), wrong.error(*nothing, spectra)
 
+    @classmethod
+    def of_exact(cls, weights, share, content: Content, shape) -> "Watch":
+        """Return the watch for planes without an error. It sees how rough and how bright other contents are.
+
+        Args:
+            weights: Electrons per content, shape (C, L).
+            share: Part of the pixels that has each channel, shape (C,).
+            content: The content.
+            shape: Rows and columns of the samples that are surveyed.
+        """
+        flat, _, _ = _rows((weights.T * share) @ weights, content, min(FLAT_ROWS, len(weights)))
+        nothing = np.zeros((0, weights.shape[1]))
+        return cls(
+            flat,
+            nothing,
+            0.0,
+            (flat @ content.entry_spectra.T).astype(np.float32),
+            np.zeros(len(flat)),
+            (0.0, 0.0),
+            row_pairs(*shape).astype(np.int32),
+            nothing,
+        )
+
     def with_scale(self, content: Content) -> "Watch":
         """Return the same with scales for a content in host memory.
 
@@ -454,13 +500,12 @@ class Watch:
         units[-1] = self.scale[0]
         return np.asarray(survey, np.float64) / units**2
 
-    def errors(self, survey) -> tuple[float, float]:
-        """Return the relative RMS error of the mosaic's electrons, predicted from a survey, overall and at its largest.
+    def errors(self, survey) -> Surveyed:
+        """Return the relative RMS error of the mosaic's electrons, predicted from a survey, and its roughness.
 
         The error is the one of `Response.error` for the moments over the same rows, or larger: R
-        counts with its upper bound. It is 0 without a signal, and NaN if the content has NaN or
-        squares beyond float32, so comparisons must fail for NaN. The second figure is of the pair
-        of rows with the largest error, over the signal of all rows.
+        counts with its upper bound. All is 0 without a signal, and NaN if the content has NaN or
+        squares beyond float32, so comparisons must fail for NaN.
 
         Args:
             survey: Result of `spectral.survey`, shape (n, 3, P + 1).
@@ -468,13 +513,20 @@ class Watch:
         found = self._in_content_units(survey)
         signals = len(self.flat)
         if not np.isfinite(found).all():
-            return np.nan, np.nan
+            return Surveyed(*[np.nan] * 5)
         signal = found[:, 0, :signals].sum() / len(found)
         if signal == 0:
-            return 0.0, 0.0
+            return Surveyed()
         squares = found[:, 1:].sum(axis=1)
         each = squares[:, signals:-1].sum(axis=1) + self._rest(squares)
-        return self.factor * sqrt(each.mean() / signal), self.factor * sqrt(each.max() / signal)
+        rough = squares[:, :signals].sum(axis=1)
+        return Surveyed(
+            self.factor * sqrt(each.mean() / signal),
+            self.factor * sqrt(each.max() / signal),
+            sqrt(rough.mean() / signal),
+            sqrt(rough.max() / signal),
+            sqrt(signal),
+        )
 
     def _rest(self, squares):
         """Upper bound of the part of R, of pairs of rows (n, P + 1)."""

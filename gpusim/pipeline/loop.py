@@ -45,9 +45,9 @@ from gpusim.pipeline.planning import (
 from gpusim.pipeline.probing import Probing
 from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
 from gpusim.pipeline.step import Rate, Step, Values
-from gpusim.planner.after import holds
 from gpusim.planner.draft import draft_plan
 from gpusim.planner.facts import Facts
+from gpusim.planner.given import holds
 from gpusim.planner.plan import Plan
 
 if TYPE_CHECKING:
@@ -116,11 +116,15 @@ class _Check:
 
 
 @dataclasses.dataclass
-class _Planned:
-    """A plan with its camera, or None, and its probes."""
+class Planned:
+    """A plan with its camera, or None, and its probes.
+
+    facts: Facts of the plan's scene, once they were kept.
+    """
 
     plan: tuple | None = None
     probing: Probing = dataclasses.field(default_factory=Probing)
+    facts: Facts | None = None
 
 
 class SharedOptics:
@@ -133,26 +137,26 @@ class SharedOptics:
 
     def __init__(self, device: Device, other: "SharedOptics | None" = None):
         self.cache = Cache(device)
-        self._planned: _Planned = _Planned() if other is None else other._planned
+        self.planned: Planned = Planned() if other is None else other.planned
         self.checked: tuple = ()  # the last check: a plan, and the versions of the arrays
 
     @property
     def plan(self) -> tuple | None:
         """A Plan and its camera."""
-        return self._planned.plan
+        return self.planned.plan
 
     @plan.setter
     def plan(self, plan: tuple | None):
-        self._planned.plan = plan
+        self.planned.plan = plan
 
     @property
     def probing(self) -> Probing:
         """Probes of the plan."""
-        return self._planned.probing
+        return self.planned.probing
 
     @probing.setter
     def probing(self, probing: Probing):
-        self._planned.probing = probing
+        self.planned.probing = probing
 
 
 class Loop:
@@ -221,7 +225,6 @@ class Loop:
         self._last: tuple | None = None  # an exposure, with its plan, scene and settings
         self._drafts = False
         self._served: tuple = (None,) * 5  # a plan that is usable, and for which settings
-        self._known: Facts | None = None  # facts of a plan that was made before
         self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
@@ -327,21 +330,33 @@ class Loop:
             self._served = now
         return plan
 
-    @property
-    def planned(self) -> tuple[Plan, Facts]:
-        """The plan, and the facts of the scene of which it was made."""
-        return self.plan, self._known or self._facts()
+    def keep_plan(self) -> Planned:
+        """Return the plan and its probes, for a loop that comes later."""
+        kept, plan = self.before.planned, self.plan
+        if plan.scene is self.scene:
+            kept.facts = self._facts()
+        kept.probing.end_scene()
+        return kept
 
-    def reuse(self, made: Plan, facts: Facts) -> None:
-        """Use a plan of this scene and this camera if the facts of which it was made are read from the scene again.
+    def reuse(self, kept: Planned) -> None:
+        """Use a plan that was kept, if it may serve this scene.
+
+        The scene that it was made for must give the same facts again. Another one is measured and probed like those of
+        a loop; without a tolerance there are no probes, so it gets a plan of its own.
 
         Args:
-            made: The plan.
-            facts: The facts.
+            kept: The plan, for a camera and a tolerance like this loop's.
         """
-        if is_planned(self.simulator, made, facts, self.scene):
-            self.before.plan, self._known = (made, self.simulator.camera), facts
-            self.before.probing.set_plan(made)
+        simulator, scene = self.simulator, self.scene
+        plan, _ = kept.plan or (None, None)
+        if plan is None or kept.facts is None:
+            return
+        if (
+            simulator.tolerance is not None
+            if plan.scene is not scene
+            else is_planned(simulator, plan, kept.facts, scene)
+        ):
+            self.before.planned = kept
 
     def _draft(self):
         """Return a draft made from the existing plan; None if it is unsuitable or saves no work."""
@@ -374,12 +389,16 @@ class Loop:
         )
         if seconds is None and self.meters_late and self._last_metered:
             seconds = self._last_metered[0]
-        account = self.before.cache("probes", probe_plan, simulator, plan, scene, seconds)
+        account = self._probe(plan, seconds)
         does = holds(plan, account)
         probing.found(scene, account, does)
         if not does:
             self.before.plan = None
         return does
+
+    def _probe(self, plan, seconds):
+        """Return the account of the plan in this scene. seconds: exposure time [s]; None: the camera's choice."""
+        return self.before.cache("probes", probe_plan, self.simulator, plan, self.scene, seconds)
 
     def _facts(self):
         """Return facts of the scene. If the device computes them, the host reads only a few numbers."""
@@ -527,8 +546,9 @@ class Loop:
         watch: Any = plan.find(Watch)  # not None if there is a survey
         if check.survey is not None:
             found = check.survey()
-            self._drift, steepest = watch.errors(found)
-            probing.add_survey(plan, scene, self._drift, steepest)
+            surveyed = watch.errors(found)
+            self._drift = surveyed.drift
+            probing.add_survey(plan, scene, surveyed)
         if not plan.fits(light, self._drift):
             self.before.plan = None
             if plan.fits(light, None):
@@ -629,11 +649,15 @@ class Loop:
         Returns:
             The picture.
         """
+        return make_frame(self.judged_exposure, self.values, seed, first)
+
+    @property
+    def judged_exposure(self) -> Exposure:
+        """The exposure by a plan that is known to fit the scene, with the errors predicted for it. Waits."""
         exposure = self.exposure
         if not self._plan_still_valid():
             exposure = self.exposure
-        exposure = dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
-        return make_frame(exposure, self.values, seed, first)
+        return dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
 
     @property
     def settings(self) -> tuple[float | None, float, Plan | None]:
@@ -655,11 +679,15 @@ class Loop:
         """Return a plan with the errors predicted for the scene."""
         if self._fixed_plan is not None:
             return self._predict_given()
-        return (
-            plan
-            if plan.scene is self.scene
-            else self.before.probing.annotate(plan, self.scene, self._drift)
-        )
+        if plan.scene is self.scene:
+            return plan
+        probing = self.before.probing
+        found = probing.annotate(plan, self.scene, self._drift)
+        if found.verdict is None or found.verdict.is_met or probing.are_of_last:
+            return found
+        # the errors may have been those of a harder scene
+        account = self._probe(plan, self._exposure_time)
+        return dataclasses.replace(plan.of(self.scene, None, account), probed="from this scene")
 
     @property
     def scene_plan(self) -> Plan:

@@ -16,7 +16,6 @@ from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
 from gpusim.pipeline.reading import Reading, bytes_read_on_device, is_read_on_device
 from gpusim.pipeline.step import steps_needed
-from gpusim.planner.after import probe_account
 from gpusim.planner.choices import Goal
 from gpusim.planner.draft import TURNED
 from gpusim.planner.facts import Facts, OnHost
@@ -196,15 +195,14 @@ def predict_errors(
 
 
 def probe_plan(simulator: "Simulator", made: Plan, scene: Scene, seconds: float | None) -> Account:
-    """Return a plan's errors in another scene, see `gpusim.planner.after.probe_account`."""
+    """Return a plan's errors in another scene that it serves. seconds: exposure time [s]; None: the camera's choice."""
     facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
-    return probe_account(
-        made,
-        Question.of(
-            scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
-        ),
-        seconds,
+    question = Question.of(
+        scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
     )
+    return judge_given(
+        made, question, seconds, simulator.tolerance, simulator.device.kind != "numpy"
+    ).account
 
 
 def probes_for(simulator: "Simulator", scene: Scene, view: View, seconds: float) -> Probes:

@@ -1,10 +1,11 @@
 """When to probe a scene: compare a reused plan with exact values of the scene.
 
-A survey of each scene gives the change of a plan's RMS error, in the frame and in a few rows (`gpusim.optics.fusion`),
-but not the error of the worst pixels. Probes give it, at the cost of a frame or two, so they become rare while nothing
-changes. The first scene that a plan was not made for is probed. Each time that the plan holds, the interval to the next
-probe becomes about three times longer. If the survey rises above all its earlier values, a probe is due at once and the
-interval starts again. So n scenes need about log3(n) probes, and as many again for each rise. Rises are few.
+A survey of each scene gives the change of a plan's RMS error, how rough and how bright the scene is, in the frame and
+in a few rows (`gpusim.optics.fusion`), but not the error of the worst pixels. Probes give it, at the cost of a frame
+or two, so they become rare while nothing changes. The first scene that a plan was not made for is probed. Each time
+that the plan holds, the interval to the next probe becomes about three times longer. If a number of the survey rises
+above all its earlier values, a probe is due at once and the interval starts again. So n scenes need about log3(n)
+probes, and as many again for each rise. Rises are few.
 """
 
 from dataclasses import replace
@@ -13,7 +14,7 @@ import numpy as np
 
 from gpusim.domain.account import Account
 from gpusim.domain.scene import Scene
-from gpusim.optics.fusion import Watch
+from gpusim.optics.fusion import Surveyed, Watch
 from gpusim.planner.plan import Plan
 
 MOVED = 1.1  # times the largest value of the survey: the margin with which planes are chosen
@@ -44,8 +45,8 @@ class Probing:
         self._plan, self._scene, self._since = plan, None, 0
         self._account: Account | None = None
         self._drift: float | None = None  # of the scene that was probed
-        # largest drift, and largest drift of the steepest rows, of scenes whose probes held
-        self._highest: tuple[float, float] | None = None
+        # largest numbers of the surveys of scenes whose probes held
+        self._highest: tuple[float, ...] | None = None
         self._awaited: Scene | None = None  # the probed scene, until its survey arrives
         self._name = ""
 
@@ -74,6 +75,11 @@ class Probing:
         while len(self._least) > KINDS:
             del self._least[next(iter(self._least))]
 
+    @property
+    def are_of_last(self) -> bool:
+        """Whether the last scene was probed."""
+        return self._account is not None and not self._since
+
     def is_due(self, plan: Plan, scene: Scene) -> bool:
         """Return True if a scene must be probed. Each scene counts once."""
         if plan.find(Watch) is None or plan.tolerance is None or scene in (plan.scene, self._scene):
@@ -81,6 +87,10 @@ class Probing:
         self._scene = scene
         self._since += 1
         return self._since >= self._interval
+
+    def end_scene(self):
+        """Let the last scene go. The same object counts as another scene from now on."""
+        self._scene = self._awaited = None
 
     def found(self, scene: Scene, account: Account, holds: bool):
         """Take the errors that probes of a scene found."""
@@ -95,14 +105,14 @@ class Probing:
             self._missed = plan.count
             self.words = f"{words} would miss: {account.verdict(plan.tolerance).words}{unsure}"
 
-    def add_survey(self, plan: Plan, scene: Scene, drift: float, steepest: float):
-        """Take the survey of a scene, which arrives later: its drift, and the drift of its steepest rows."""
+    def add_survey(self, plan: Plan, scene: Scene, surveyed: Surveyed):
+        """Take the survey of a scene, which arrives later."""
         if plan is not self._plan or self._account is None:
             return
-        seen, highest = (drift, steepest), self._highest
+        seen, highest = surveyed.measures, self._highest
         is_probed = scene is self._awaited
         if is_probed:
-            self._awaited, self._drift = None, drift
+            self._awaited, self._drift = None, surveyed.drift
         elif highest is not None and any(
             its > MOVED * most for its, most in zip(seen, highest, strict=True)
         ):
@@ -110,9 +120,7 @@ class Probing:
             self._interval, self._scene = 1, None
             is_probed = True
         if is_probed:
-            self._highest = (
-                seen if highest is None else (max(drift, highest[0]), max(steepest, highest[1]))
-            )
+            self._highest = seen if highest is None else tuple(map(max, seen, highest))
 
     def note_misfit(self, plan: Plan, scene: Scene, more: int, is_at_hand: bool):
         """Take a scene whose survey shows that its plan does not fit, and the number of missing planes.
@@ -133,7 +141,7 @@ class Probing:
         bounds, words = account.bounds, "from this scene"
         if self._since:
             words = f"from {name}, {self._since} scene{'s' * (self._since > 1)} ago"
-            if drift and self._drift:
+            if drift and self._drift and plan.watched in bounds:
                 words += ", scaled by the survey of this scene"
                 bounds = bounds | {plan.watched: bounds[plan.watched].times(drift / self._drift)}
         return replace(plan.of(scene, None, replace(account, bounds=bounds)), probed=words)

@@ -45,7 +45,7 @@ def is_read_on_device(device: Device, scene: Scene) -> bool:
 def bytes_read_on_device(plan: Plan, device: Device) -> int:
     """Return the device memory that the planner uses to read a scene before the frame [byte].
 
-    It reads the scene's brightness, windows and rows. Probes of later scenes read other windows.
+    It reads the scene's brightness, windows and rows. Probes of later scenes read theirs.
     """
     if not is_read_on_device(device, plan.scene):
         return 0
@@ -55,7 +55,7 @@ def bytes_read_on_device(plan: Plan, device: Device) -> int:
         rows * cols
     )
     times = 2 if plan.find(Watch) else 1
-    return 4 * (rows * cols + entries * (times * windows + 2 * cols * len(row_pairs(rows, cols))))
+    return 4 * times * (rows * cols + entries * (windows + 2 * cols * len(row_pairs(rows, cols))))
 
 
 def store(device: Device, content: Content, window=WHOLE, curve=None):

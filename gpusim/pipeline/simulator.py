@@ -20,7 +20,7 @@ from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.exposure import Exposure, exposure_steps
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.imaging import Imaging
-from gpusim.pipeline.loop import Capture, Loop
+from gpusim.pipeline.loop import Capture, Loop, Planned
 from gpusim.pipeline.planning import checked_reach, make_plan
 from gpusim.pipeline.readout import Readout
 from gpusim.pipeline.step import Step
@@ -96,8 +96,8 @@ class Simulator:
         sensor, self.left_out = without_negligible(camera.sensor, self.tolerance)
         self.readout = cache("readout", Readout, sensor, self.device, tables)
         self.imaging = Imaging(camera, self.device, tables)
-        # plan of the last exposure, the facts of which it was made, and the exposure time that was asked for
-        self._planned: tuple[Plan, Facts, float | None] | None = None
+        # plan of the last exposure, and the exposure time that was asked for
+        self._kept: tuple[Planned, float | None] | None = None
         return self
 
     def update(self, camera: Camera) -> "Simulator":
@@ -281,8 +281,8 @@ class Simulator:
     ) -> Frame | Iterator[Frame]:
         """Return one frame of a scene, or an iterator over one frame of each of several scenes.
 
-        Frames of several scenes are computed lazily. Each depends only on its scene, seed and number. `stream` is
-        faster if device arrays are enough.
+        Frames of several scenes are computed lazily. Without a tolerance each depends only on its scene, seed and
+        number; with one, also on the plan, see `expose`. `stream` is faster if device arrays are enough.
 
         Args:
             scene: A scene, or several.
@@ -377,7 +377,11 @@ class Simulator:
 
         If neither the call nor the camera gives an exposure time, the sensor's `auto_exposure` chooses time and gain.
         `expose(scene, last.exposure_time, last.gain)` repeats an exposure that was metered before. It raises BadData,
-        DoesNotFit or OutOfRange. The last scene again, with the same light in its arrays, is not planned again.
+        DoesNotFit or OutOfRange.
+
+        The last scene again, with the same light in its arrays, is not planned again. With a tolerance, another scene
+        of its kind uses the last plan as a `Loop` does, if its errors are predicted to meet the tolerance. Then the
+        report names the scene of the plan. For the same bits after other scenes, give the plan.
 
         Args:
             scene: The scene.
@@ -389,11 +393,15 @@ class Simulator:
             The exposure.
         """
         loop = self.loop(scene, exposure_time, gain, plan=plan)
-        last, self._planned = self._planned, None
-        if plan is None and last is not None and last[-1] == exposure_time:
-            loop.reuse(*last[:2])
-        del last
-        exposure = loop.exposure
+        kept, self._kept = self._kept, None
+        if plan is None and kept is not None and kept[1] == exposure_time:
+            loop.reuse(kept[0])
+        del kept
+        exposure = loop.judged_exposure
+        verdict = exposure.plan.verdict
+        if exposure.plan.planned_for and verdict is not None and not verdict.is_met:
+            loop = self.loop(scene, exposure_time, gain)  # a plan made for the scene may meet it
+            exposure = loop.judged_exposure
         if plan is None:
-            self._planned = *loop.planned, exposure_time
-        return replace(exposure, plan=loop.scene_plan, is_rewritten=False)
+            self._kept = loop.keep_plan(), exposure_time
+        return replace(exposure, is_rewritten=False)

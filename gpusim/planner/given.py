@@ -5,7 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from gpusim.domain.account import UNKNOWN, Account, Bound, Tolerance, total
+from gpusim.domain.account import SAFETY, UNKNOWN, Account, Bound, Tolerance, total
 from gpusim.domain.camera import Camera
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.field import FieldBlur
@@ -22,6 +22,7 @@ from gpusim.planner.knobs.field import field_bound
 from gpusim.planner.plan import Plan, rounding_of
 from gpusim.planner.probes import SIDE, Probes
 from gpusim.planner.question import Notes, Question
+from gpusim.planner.search import HEADROOM
 
 # fields of a sensor that matter after the light is collected: plans depend on all others
 READ_OUT = {
@@ -131,6 +132,13 @@ def judge_given(
     )
 
 
+def holds(plan: Plan, account: Account) -> bool:
+    """Return whether a plan is about as accurate for another scene, by its account, as for its own."""
+    assert plan.tolerance is not None
+    own, its = plan.account.total.ratio(plan.tolerance), account.total.ratio(plan.tolerance)
+    return SAFETY * its <= max(1, HEADROOM * SAFETY * own)
+
+
 def _blur(
     plan: Plan,
     question: Question,
@@ -161,7 +169,7 @@ def _planes(plan, probes):
     if probes is None:
         return own
     watch, fusion = plan.find(Watch), plan.find(Fusion)
-    if watch is None or fusion is None:
+    if watch is None or fusion is None or not len(watch.inputs):
         varying = plan.find(KernelSpace) or plan.find(FieldBlur)
         if varying is None:
             return probes.local(own.rms)

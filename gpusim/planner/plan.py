@@ -66,7 +66,7 @@ class Plan:
             split off the content. FieldBlur is the difference from the blur on the axis, DepthPlan
             the blur by distance, DistortionGrid the distortion of the lens. Tiling divides the
             frame into tiles of the blur's period. FarField models the world beyond the blur's
-            reach. Watch predicts the error of the fused planes for other contents.
+            reach. Watch compares other contents with this one, and predicts the error of fused planes for them.
         account: Named errors of the scene as sampled.
         models: Stage -> model in words, and the reason for it.
         left_out: Effects that are not modelled, in words.
@@ -422,6 +422,12 @@ def plan(
     distortion = pixels.choose_distortion(question, placed, probes, notes)
     pixels.describe_calibration(question, notes)
     falloff, slope = pixels.falloff_of(question, probes, notes)
+    watched = any(isinstance(choice, Watch | FieldBlur) for choice in seen.way.choices)
+    watch = (
+        Watch.of_exact(question.weights, question.share, question.content, scene.samples)
+        if tolerance is not None and not watched and by_depth is None
+        else None
+    )
     around, rim = seen.around, question.rim if distortion else 0
     if around:
         around.describe(question, notes)
@@ -437,6 +443,7 @@ def plan(
         distortion,
         taps and Sampling(*taps),
         falloff,
+        watch and watch.with_scale(question.facts.pairs),
         tolerance and Goal(tolerance, seen.remedy),
     )
     return Plan(

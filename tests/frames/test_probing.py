@@ -9,14 +9,16 @@ import cameras
 import numpy as np
 import pytest
 from devices import ALL_KINDS, KINDS
+from scipy.ndimage import gaussian_filter
 
 import gpusim as gs
 from gpusim.domain.account import SAFETY
 from gpusim.domain.content import Basis
+from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import unit_light
 from gpusim.judge.truth import true_error
-from gpusim.optics.fusion import Watch
+from gpusim.optics.fusion import Surveyed, Watch
 from gpusim.pipeline.probing import Probing, kind_of
 from gpusim.planner.choices import Blur
 from gpusim.planner.plan import Plan
@@ -244,7 +246,8 @@ def test_what_rises_now_and_then_is_probed_a_few_times():
         if probing.is_due(plan, scene):
             count += 1
             probing.found(scene, plan.account, True)
-        probing.add_survey(plan, scene, *((1e-4, 1e-3), (1.3e-4, 1e-3), (1e-4, 1.4e-3))[number % 3])
+        drifts = ((1e-4, 1e-3), (1.3e-4, 1e-3), (1e-4, 1.4e-3))[number % 3]
+        probing.add_survey(plan, scene, Surveyed(*drifts, level=1.0))
     assert count < 3 * np.log(1000) / np.log(3)  # the first ones, and after each of two rises
 
 
@@ -308,3 +311,66 @@ def test_a_loop_judges_the_sun_as_it_does_a_lamp(device, unprobed, monkeypatch):
         for scene in scenes:
             loop.update(scene=scene).raw()
     assert max(one for one in told[0] if one is not None) > 0 and told[0] == told[1] == told[2]
+
+
+def smooth(name="smooth"):
+    return scene_of(gaussian_filter(SPECTRA, (0, 4, 4)), name)
+
+
+@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("what", ["distortion", "brightness"])
+def test_no_error_of_a_plan_is_taken_from_a_softer_or_darker_scene(device, what):
+    """Edges between which a displaced lens interpolates, and light whose shot noise is less, come after others.
+
+    SAFETY is the margin of every verdict.
+    """
+    tolerance, last = gs.Tolerance(p999_sigma=0.1), scene_of(SPECTRA, "sharp")
+    camera = replace(
+        CAMERA, optics=replace(CAMERA.optics, distortion=RadialPolynomial(-0.0005, 0.0, 2e-4))
+    )
+    scenes = [smooth(f"smooth {number}") for number in range(4)]
+    if what == "brightness":
+        camera, tolerance = CAMERA, gs.Tolerance(p999_sigma=0.01)
+        scenes = [scene_of(0.01 * SPECTRA, f"dark {number}") for number in range(4)]
+    loop = made(device, tolerance, camera).loop(scenes[0], SECONDS)
+    for scene in scenes[1:]:
+        assert loop.update(scene=scene).frame().report.verdict.is_met
+    report = loop.update(scene=last).frame().report
+    true = errs(loop).p999_sigma
+    assert SAFETY * report.account.total.p999_sigma > true
+    assert report.verdict.is_met <= (true < tolerance.p999_sigma)
+    # not by the errors of the scene before
+    assert loop.update(scene=scenes[1]).frame().report.verdict.is_met
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_calls_share_a_plan_while_it_fits(device, monkeypatch):
+    """As a loop does. A scene whose arrays were written to counts as another one."""
+    count, make = [0], gs.pipeline.planning.plan
+    monkeypatch.setattr(
+        "gpusim.pipeline.planning.plan",
+        lambda *args, **asked: count.__setitem__(0, count[0] + 1) or make(*args, **asked),
+    )
+    camera = CAMERA.with_(exposure_time_ms=1e3 * SECONDS)
+    simulate = made(device, gs.Tolerance(p999_sigma=0.05), camera)
+
+    def met(scene, verify=False):
+        frame = simulate(scene, verify=verify)
+        report = frame.report
+        assert report.verdict.is_met
+        if verify:
+            assert report.meets_tolerance
+            assert SAFETY * report.account.total.p999_sigma > report.error.p999_sigma
+        return frame
+
+    first = met(smooth())
+    for number in range(3):
+        frame = met(smooth(f"smooth {number}"), number == 2)
+        assert count[0] == 1 and frame.report.plan == first.report.plan
+        assert any("smooth" in note for note in frame.report.notes)
+    sharp = scene_of(SPECTRA, "sharp")
+    met(sharp, True)
+    assert count[0] == 2
+    turned = met(scene_of(SPECTRA[:, ::-1], "turned"), True)
+    sharp.content.values[:] = SPECTRA[:, ::-1]  # the scene of the plan itself
+    np.testing.assert_array_equal(np.array(met(sharp).mean), np.array(turned.mean))
