@@ -43,6 +43,7 @@ class Probing:
 
     def _begin(self, plan):
         self._plan, self._scene, self._since = plan, None, 0
+        self._zoom = 1.0 if plan is None else plan.scene.view.zoom  # largest of scenes that held
         self._account: Account | None = None
         self._drift: float | None = None  # of the scene that was probed
         # largest numbers of the surveys of scenes whose probes held
@@ -81,12 +82,19 @@ class Probing:
         return self._account is not None and not self._since
 
     def is_due(self, plan: Plan, scene: Scene) -> bool:
-        """Return True if a scene must be probed. Each scene counts once."""
-        if plan.find(Watch) is None or plan.tolerance is None or scene in (plan.scene, self._scene):
+        """Return True if a scene must be probed. Each scene counts once.
+
+        Views of the plan's own content err alike if its planes have no error, unless they magnify it more.
+        """
+        watch = plan.find(Watch)
+        if watch is None or plan.tolerance is None or scene in (plan.scene, self._scene):
+            return False
+        is_larger = scene.view.zoom > MOVED * self._zoom
+        if scene.content is plan.scene.content and not (is_larger or watch.wrong.size):
             return False
         self._scene = scene
         self._since += 1
-        return self._since >= self._interval
+        return is_larger or self._since >= self._interval
 
     def end_scene(self):
         """Let the last scene go. The same object counts as another scene from now on."""
@@ -99,6 +107,7 @@ class Probing:
         # not a power of TIMES, so scenes that alternate cannot keep the same step
         self._interval, self._since = TIMES * self._interval + 1, 0
         self._account, self._name, self._awaited, self._drift = account, scene.name, scene, None
+        self._zoom = max(self._zoom, scene.view.zoom)
         if not holds:
             words = f"{plan.count} planes" if plan.count else "leaving the blur out"
             unsure = f"; the {since} scenes before were not probed" if since else ""
