@@ -15,6 +15,7 @@ from gpusim.backends.caches import pocl_folder
 from gpusim.backends.device import kernel_folder
 from gpusim.backends.driver import finish, pyopencl
 from gpusim.backends.pocl import known_processor
+from gpusim.backends.pocl_programs import Programs
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import SMALL, Taped
 from gpusim.domain.errors import DeviceError
@@ -64,6 +65,7 @@ class OpenCLDevice(Taped):
         self._kernels: dict = {}
         self._spare: defaultdict = defaultdict(list)  # kernels without a command
         self._programs: dict = {}
+        self._built = Programs(cl, self.context)
         self._free: defaultdict = defaultdict(list)  # bytes -> memory for reuse
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._sent: deque = deque()  # small copies to the device that may not have ended
@@ -330,17 +332,16 @@ class OpenCLDevice(Taped):
                 head += f"typedef int built_for_{self.processor.replace('-', '_')};\n"
             head += "".join(f"#define {name} {value}\n" for name, value in sorted(defines.items()))
             start = time.perf_counter()
+            options = [
+                "-cl-std=CL1.2",
+                "-cl-fp32-correctly-rounded-divide-sqrt",
+                "-I",
+                str(include),
+            ]
+            if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
+                options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
             try:
-                program = self._cl.Program(self.context, head + source)
-                options = [
-                    "-cl-std=CL1.2",
-                    "-cl-fp32-correctly-rounded-divide-sqrt",
-                    "-I",
-                    str(include),
-                ]
-                if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
-                    options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
-                self._programs[key] = program.build(options)
+                self._programs[key] = self._built.build(head + source, options)
             except self._cl.Error as error:
                 lines = str(error).splitlines()  # with the compiler's log
                 cause = next((line for line in lines if "error: " in line), lines[0])[:300]
