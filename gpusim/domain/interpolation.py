@@ -3,7 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 # Largest sum of magnitudes of a cubic spline's weights. On regular wavelengths it is 2. A narrow gap
 # next to a wide one makes it large: the spline then swings far beyond the samples.
