@@ -16,6 +16,7 @@ import uuid
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from gpusim.backends import caches
 from gpusim.domain.leftovers import temporary_name
@@ -49,10 +50,18 @@ class Programs:
         self._is_recorded = " PoCL 3.0" in platform.version
         self._facts = (platform.version, self._device.version, self._device.name)
 
-    def build(self, text: str, options: list[str]):
-        """Return the program of a text, built with these options. Raises pyopencl's Error."""
+    def build(self, text: str, options: list[str]) -> tuple[Any, bool]:
+        """Return the program of a text, and whether its kernels are new: PoCL compiles them as they start.
+
+        Args:
+            text: OpenCL C.
+            options: Of the compiler.
+
+        Raises:
+            pyopencl.Error: The text has an error.
+        """
         if self._folder is None:
-            return self._cl.Program(self._context, text).build(options)
+            return self._cl.Program(self._context, text).build(options), False
         path = self._record_path(text, options)
         record = _read(path) if self._is_recorded else b""
         place = self._folder / _place(record) if record else None
@@ -63,14 +72,14 @@ class Programs:
                 binary = record[:HEAD] + _string(BITCODE) + _string(bitcode) + record[HEAD:]
                 program = self._cl.Program(self._context, [self._device], [binary]).build()
                 caches.use(place)
-                return program
+                return program, False
         if not (is_kept or caches.prepare_build(self._folder)):
             text += f"\ntypedef int apart_{uuid.uuid4().hex};\n"  # its place is in no use
         program = self._cl.Program(self._context, text).build(options)
         if not is_kept:
             place = self._write_record(path, text, options)
         caches.use(self._folder if place is None else place)
-        return program
+        return program, not is_kept
 
     def _write_record(self, path, text, options):
         """Record a program that was just built from its text; return its place, None if unknown."""

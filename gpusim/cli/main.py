@@ -7,6 +7,7 @@ from collections.abc import Callable
 from gpusim import __version__
 from gpusim.cli import judges, look, pairs, plan, preview, simulate, train_l3, video
 from gpusim.cli.options import Options
+from gpusim.cli.progress import showing_progress
 from gpusim.domain.errors import GpusimError, one_line
 
 # name -> options, function, texts of the help
@@ -41,7 +42,8 @@ def main(argv: list[str] | None = None) -> int:
     parser = _parser()
     arguments = parser.parse_args(argv)
     try:
-        return arguments.run(arguments)
+        with showing_progress():
+            return arguments.run(arguments)
     except GpusimError as error:
         print(f"gpusim: {error}", file=sys.stderr)
         return 2

@@ -26,9 +26,14 @@ __kernel __attribute__((reqd_work_group_size(4, 1, 1))) void fill(__global float
 COPY = """
 import numpy as np
 from gpusim.backends import caches, open_device
+from gpusim.domain.progress import listening
+heard = []
 device = open_device("opencl:pocl")
 values, target = np.arange(300, dtype=np.float32), device.empty((300,))
-device.launch("common.copy", "copy", (300,), device.array(values), target, 300)
+with listening(heard.append):
+    for _ in range(2):
+        device.launch("common.copy", "copy", (300,), device.array(values), target, 300)
+print(heard)
 assert np.array_equal(device.numpy(target), values)
 """
 
@@ -86,7 +91,7 @@ def test_loaded_kernels_compute_what_built_ones_do(programs, tmp_path):
     text = f"{TEXT}// {tmp_path}"
     values, found = np.linspace(0, 5, 256, dtype=np.float32), []
     for device, group in ((first, 32), (second, 64)):
-        built = device._built.build(text, OPTIONS)
+        built, _ = device._built.build(text, OPTIONS)
         kernel = device._cl.Kernel(built, "scale")
         given, few = device.array(values), device.array([3], np.int32)
         out = device.empty((256,), np.uint16)
@@ -122,3 +127,7 @@ def test_a_second_process_builds_nothing_from_text(programs, tmp_path, monkeypat
     record.write_bytes(record.read_bytes()[:-1])
     ends.append(run(COPY))
     assert [(end.returncode, end.stderr) for end in ends] == [(0, "")] * 3
+    # the first process builds the program, and compiles its kernel for groups of 128, 8 and 1
+    build = ["compiling common.copy", None]
+    heard = [build * 2, build, build * 2]
+    assert [end.stdout.strip() for end in ends] == [str(words) for words in heard]
