@@ -101,8 +101,9 @@ class Programs:
             parts = [self._describe(self._cl.Kernel(described, name)) for name in names]
             head = binary[:20] + struct.pack("<IQ", len(names), EXECUTABLE) + binary[32:HEAD]
             record = head + (b"" if None in parts else b"".join(parts))
-            caches.remove(path.parent)
-            path.parent.mkdir(parents=True)
+            if path.is_dir():
+                caches.remove(path)
+            path.parent.mkdir(parents=True, exist_ok=True)
             temporary = path.with_name(temporary_name())
             temporary.write_bytes(hashlib.sha256(record).digest() + record)
             temporary.replace(path)
@@ -113,7 +114,12 @@ class Programs:
         """Return the file of a program's record. Include files count by their text."""
         facts = [*self._facts, text, *map(os.environ.get, VARIABLES)]
         facts += [_included(option) if os.path.isdir(option) else option for option in options]
-        return self._folder / "gpusim" / hashlib.sha256(repr(facts).encode()).hexdigest()[:40] / "record"
+        return (
+            self._folder
+            / "gpusim"
+            / hashlib.sha256(repr(facts).encode()).hexdigest()[:40]
+            / "record"
+        )
 
     def _describe(self, kernel):
         """Return a kernel's description in PoCL's binaries, without code; None if it is not known."""

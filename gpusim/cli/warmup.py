@@ -60,5 +60,7 @@ def warmup(request: WarmupRequest) -> int:
             frame = next(frames)
         failures += bool(frame.error)
         print(f"{frame.words}: {frame.error or f'{frame.seconds:.1f} s'}", flush=True)
-    print(f"{count - failures} of {count} kinds of frames on {device}: {time.monotonic() - start:.0f} s")
+    print(
+        f"{count - failures} of {count} kinds of frames on {device}: {time.monotonic() - start:.0f} s"
+    )
     return 1 if failures else 0
