@@ -101,8 +101,8 @@ class Programs:
             parts = [self._describe(self._cl.Kernel(described, name)) for name in names]
             head = binary[:20] + struct.pack("<IQ", len(names), EXECUTABLE) + binary[32:HEAD]
             record = head + (b"" if None in parts else b"".join(parts))
-            if path.is_dir():
-                caches.remove(path)
+            if path.is_dir() or not path.parent.is_dir():
+                caches.remove(path.parent)
             path.parent.mkdir(parents=True, exist_ok=True)
             temporary = path.with_name(temporary_name())
             temporary.write_bytes(hashlib.sha256(record).digest() + record)
