@@ -65,21 +65,23 @@ class Programs:
         path = self._record_path(text, options)
         record = _read(path) if self._is_recorded else b""
         place = self._folder / _place(record) if record else None
-        is_kept = place is not None and place.is_dir() and caches.is_sound(place)
-        if is_kept and len(record) > HEAD:
+        if place is not None and not (place.is_dir() and caches.is_sound(place)):
+            place = None
+        is_new = place is None
+        if place is not None and len(record) > HEAD:
             with suppress(OSError, self._cl.Error):  # then it is built from its text
                 bitcode = (place / BITCODE[1:]).read_bytes()
                 binary = record[:HEAD] + _string(BITCODE) + _string(bitcode) + record[HEAD:]
                 program = self._cl.Program(self._context, [self._device], [binary]).build()
                 caches.use(place)
                 return program, False
-        if not (is_kept or caches.prepare_build(self._folder)):
+        if is_new and not caches.prepare_build(self._folder):
             text += f"\ntypedef int apart_{uuid.uuid4().hex};\n"  # its place is in no use
         program = self._cl.Program(self._context, text).build(options)
-        if not is_kept:
+        if is_new:
             place = self._write_record(path, text, options)
         caches.use(self._folder if place is None else place)
-        return program, not is_kept
+        return program, is_new
 
     def _write_record(self, path, text, options):
         """Record a program that was just built from its text; return its place, None if unknown."""

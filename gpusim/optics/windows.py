@@ -5,6 +5,7 @@ the edges in them, and weighted by its inverse (Horvitz and Thompson, J. Am. Sta
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -56,7 +57,9 @@ class Windows:
         return cls(rows, cols, weight / weight.sum(), steepest)
 
 
-def average_boxes(values: np.ndarray, size: int, mode: str = "symmetric") -> np.ndarray:
+def average_boxes(
+    values: np.ndarray, size: int, mode: Literal["constant", "symmetric"] = "symmetric"
+) -> np.ndarray:
     """Return the means over size x size samples along the last two axes; size is odd.
 
     They have the bits of `scipy.ndimage.uniform_filter`, whose import takes longer than a frame.
