@@ -1,5 +1,6 @@
 """Arrays of OpenCL devices, with the interface of NumPy's, and commands: kernels with arguments."""
 
+from contextlib import nullcontext
 from math import prod
 
 import numpy as np
@@ -158,15 +159,18 @@ class Block:
             self.free[self.nbytes].append((self.buffer, self.host))
 
 
+_NOTHING = nullcontext()
+
+
 class Command:
     """A separate kernel object with its arguments.
 
     stage: stage that is charged. name: name of the kernel. spare: list to which the kernel finally
-    returns.
+    returns. words: what is compiled at the first start, "" for nothing.
     """
 
-    def __init__(self, device, stage, name, kernel, pieces, args, spare):
-        self.device, self.stage, self.name = device, stage, name
+    def __init__(self, device, stage, name, kernel, pieces, args, spare, words):
+        self.device, self.stage, self.name, self.words = device, stage, name, words
         self.kernel, self.args, self.spare = kernel, args, spare
         self.pieces = [
             (size[::-1], block[::-1], offset[::-1] if any(offset) else None)
@@ -203,7 +207,8 @@ class Command:
 
     def start(self):
         device = self.device
-        with device._lock:
+        words, self.words = self.words, ""
+        with device._lock, device.compiling(words) if words else _NOTHING:
             for size, block, offset in self.pieces:
                 event = self.enqueue(device.queue, self.kernel, size, block, offset)
                 clock = device._clock

@@ -6,6 +6,7 @@ the files are loaded.
 """
 
 import atexit
+import functools
 import hashlib
 import json
 import logging
@@ -67,18 +68,42 @@ def has_room(folder: Path) -> bool:
         return False
 
 
+_used: set[Path] = set()  # programs that this process has loaded or built, or their whole cache
+
+
 def prepare_opencl():
-    """Make PoCL's cache usable before PoCL is loaded: remove damaged programs."""
+    """Make PoCL's cache usable before PoCL is loaded."""
     folder = pocl_folder()
     if folder is None:  # no home folder: PoCL takes the system's folder for temporary files
         return
+    if not has_room(folder):
+        os.environ["POCL_CACHE_DIR"] = str(lent_folder())
+    weakref.finalize(log, _note_used)  # after the devices have ended
+
+
+def use(program: Path):
+    """Record the checksums of a program's files when the process ends.
+
+    program: its folder, or PoCL's folder of all programs.
+    """
+    _used.add(program)
+
+
+def _note_used():
+    folder = pocl_folder()
+    for program in folder.glob("??/*") if folder in _used else _used:
+        note(program)
+
+
+@functools.cache
+def prepare_build(folder: Path) -> bool:
+    """Remove damaged programs from PoCL's cache, once, and return whether all are sound then.
+
+    A build from text would load the one that it finds there.
+    """
     # files in the place of folders of programs
     strays = [path for path in folder.glob("??") if not path.is_dir()]
-    if not has_room(folder) or not keep_sound([*strays, *folder.glob("*/*")]):
-        os.environ["POCL_CACHE_DIR"] = str(lent_folder())
-        return
-    # after the devices have ended
-    weakref.finalize(log, lambda: [note(program) for program in folder.glob("*/*")])
+    return keep_sound([*strays, *folder.glob("??/*")])
 
 
 def pocl_folder() -> Path | None:

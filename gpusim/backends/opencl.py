@@ -15,10 +15,12 @@ from gpusim.backends.caches import pocl_folder
 from gpusim.backends.device import kernel_folder
 from gpusim.backends.driver import finish, pyopencl
 from gpusim.backends.pocl import known_processor
+from gpusim.backends.pocl_programs import Programs
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import SMALL, Taped
 from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import Pinned
+from gpusim.domain.progress import announced
 
 PAGE = 4096
 # Refused memory, in the drivers' words; a buffer's size above the limit of one buffer is "invalid"
@@ -64,6 +66,9 @@ class OpenCLDevice(Taped):
         self._kernels: dict = {}
         self._spare: defaultdict = defaultdict(list)  # kernels without a command
         self._programs: dict = {}
+        self._built = Programs(cl, self.context)
+        # new program -> kernels and sizes of groups that have started: PoCL compiles each then
+        self._started: dict[tuple, set] = {}
         self._free: defaultdict = defaultdict(list)  # bytes -> memory for reuse
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._sent: deque = deque()  # small copies to the device that may not have ended
@@ -239,12 +244,14 @@ class OpenCLDevice(Taped):
         values = [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
         with self._lock:  # a kernel keeps its arguments from being set until it is started
             entry = self._kernel(stage, kernel, defines, args)
-            for size, block, offset in self._pieces(tuple(grid), group):
-                event = entry(
-                    self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1]
-                )
-                if clock.times is not None:
-                    clock.events.append((clock.charged or stage, event))
+            pieces = self._pieces(tuple(grid), group)
+            with self.compiling(self._first_words(stage, kernel, defines, pieces)):
+                for size, block, offset in pieces:
+                    event = entry(
+                        self.queue, size[::-1], block[::-1], *values, global_offset=offset[::-1]
+                    )
+                    if clock.times is not None:
+                        clock.events.append((clock.charged or stage, event))
             self._keep(args)
 
     def _keep(self, used):
@@ -263,7 +270,28 @@ class OpenCLDevice(Taped):
             with self._lock:
                 entry = self._entry(stage, self._program(stage, defines), kernel)
         pieces = self._pieces(tuple(grid), group)
-        return Command(self, self._clock.charged or stage, kernel, entry, pieces, args, spare)
+        words = self._first_words(stage, kernel, defines, pieces)
+        charged = self._clock.charged or stage
+        return Command(self, charged, kernel, entry, pieces, args, spare, words)
+
+    def _first_words(self, stage, kernel, defines, pieces):
+        """Return what PoCL will compile as these pieces start, in words; "" for nothing."""
+        started = self._started.get((stage, *sorted(defines.items())))
+        if started is None:
+            return ""
+        new = {(kernel, block, any(offset)) for _, block, offset in pieces} - started
+        started |= new
+        return f"compiling {stage}" if new else ""
+
+    @contextmanager
+    def compiling(self, words: str):
+        """Announce the first start of kernels inside the block, and wait for it. words: "" for a later start."""
+        if not words:
+            yield
+            return
+        with announced(words):
+            yield
+            self.queue.finish()
 
     def _pieces(self, grid, group):
         """Split a grid into launches (size, group, offset).
@@ -330,17 +358,19 @@ class OpenCLDevice(Taped):
                 head += f"typedef int built_for_{self.processor.replace('-', '_')};\n"
             head += "".join(f"#define {name} {value}\n" for name, value in sorted(defines.items()))
             start = time.perf_counter()
+            options = [
+                "-cl-std=CL1.2",
+                "-cl-fp32-correctly-rounded-divide-sqrt",
+                "-I",
+                str(include),
+            ]
+            if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
+                options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
             try:
-                program = self._cl.Program(self.context, head + source)
-                options = [
-                    "-cl-std=CL1.2",
-                    "-cl-fp32-correctly-rounded-divide-sqrt",
-                    "-I",
-                    str(include),
-                ]
-                if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
-                    options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
-                self._programs[key] = program.build(options)
+                with announced(f"compiling {stage}"):
+                    self._programs[key], is_new = self._built.build(head + source, options)
+                if is_new:
+                    self._started[key] = set()
             except self._cl.Error as error:
                 lines = str(error).splitlines()  # with the compiler's log
                 cause = next((line for line in lines if "error: " in line), lines[0])[:300]

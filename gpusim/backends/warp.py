@@ -27,6 +27,7 @@ from gpusim.backends.warp_arrays import (
 )
 from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.memory import CUDA, Pinned, dlpack_kind, name_of
+from gpusim.domain.progress import announced
 
 
 def start_warp():
@@ -342,7 +343,7 @@ class WarpDevice(Taped):
         """Build a module on this device, once for each size of its groups."""
         key = module, options.get("block_dim")
         if key not in self._loaded:
-            with _building:
+            with _building, announced(f"compiling {stage}"):
                 self._build(stage, module, **options)
             self._loaded.add(key)
 

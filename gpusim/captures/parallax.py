@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from gpusim.domain.account import Bound
 from gpusim.domain.camera import Camera

@@ -17,7 +17,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from gpusim.backends import Device
 from gpusim.domain.account import Bound

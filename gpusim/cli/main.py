@@ -2,26 +2,46 @@
 
 import argparse
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from importlib import import_module
 
 from gpusim import __version__
-from gpusim.cli import judges, look, pairs, plan, preview, simulate, train_l3, video
 from gpusim.cli.options import Options
+from gpusim.cli.progress import showing_progress
 from gpusim.domain.errors import GpusimError, one_line
 
-# name -> options, function, texts of the help
-COMMANDS: dict[str, tuple[type[Options], Callable, dict[str, str]]] = {
-    "simulate": (simulate.SimulateRequest, simulate.simulate, simulate.TEXTS),
-    "plan": (plan.PlanRequest, plan.plan, plan.TEXTS),
-    "look": (look.LookRequest, look.look, look.TEXTS),
-    "video": (video.VideoRequest, video.video, video.TEXTS),
-    "pairs": (pairs.PairsRequest, pairs.pairs, pairs.TEXTS),
-    "preview": (preview.PreviewRequest, preview.preview, preview.TEXTS),
-    "train-l3": (train_l3.TrainRequest, train_l3.train_l3, train_l3.TEXTS),
-    "verify": (judges.VerifyRequest, judges.verify, judges.VERIFY),
-    "bench": (judges.BenchRequest, judges.bench, judges.BENCH),
-    "devices": (judges.DevicesRequest, judges.list_devices, judges.DEVICES),
+# name -> module; names of its options, function and texts of the help
+_PLACES = {
+    "simulate": ("simulate", "SimulateRequest", "simulate", "TEXTS"),
+    "plan": ("plan", "PlanRequest", "plan", "TEXTS"),
+    "look": ("look", "LookRequest", "look", "TEXTS"),
+    "video": ("video", "VideoRequest", "video", "TEXTS"),
+    "pairs": ("pairs", "PairsRequest", "pairs", "TEXTS"),
+    "preview": ("preview", "PreviewRequest", "preview", "TEXTS"),
+    "train-l3": ("train_l3", "TrainRequest", "train_l3", "TEXTS"),
+    "verify": ("judges", "VerifyRequest", "verify", "VERIFY"),
+    "bench": ("judges", "BenchRequest", "bench", "BENCH"),
+    "warmup": ("warmup", "WarmupRequest", "warmup", "TEXTS"),
+    "devices": ("judges", "DevicesRequest", "list_devices", "DEVICES"),
 }
+
+
+class _Commands(Mapping[str, tuple[type[Options], Callable, dict[str, str]]]):
+    """Commands by name: options, function, texts of the help. Each is imported when it is read."""
+
+    def __getitem__(self, name):
+        module, *parts = _PLACES[name]
+        loaded = import_module(f"gpusim.cli.{module}")
+        return tuple(getattr(loaded, part) for part in parts)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_PLACES)
+
+    def __len__(self):
+        return len(_PLACES)
+
+
+COMMANDS = _Commands()
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -38,10 +58,12 @@ def main(argv: list[str] | None = None) -> int:
             reported in one
         line) or 3 (a tolerance that cannot be judged).
     """
-    parser = _parser()
+    argv = sys.argv[1:] if argv is None else argv
+    parser = _parser(argv[:1] if argv[:1] and argv[0] in COMMANDS else COMMANDS)
     arguments = parser.parse_args(argv)
     try:
-        return arguments.run(arguments)
+        with showing_progress():
+            return arguments.run(arguments)
     except GpusimError as error:
         print(f"gpusim: {error}", file=sys.stderr)
         return 2
@@ -58,15 +80,16 @@ class OneLineParser(argparse.ArgumentParser):
         self.exit(2, f"{self.prog}: {one_line(message)} (see {self.prog} --help)\n")
 
 
-def _parser():
-    """Return the parser of all commands."""
+def _parser(names: Iterable[str] = COMMANDS):
+    """Return the parser of commands."""
     parser = OneLineParser(
         prog="gpusim",
         description="Simulate a camera: scene radiance, optics, sensor, image processor, display.",
     )
     parser.add_argument("--version", action="version", version=f"gpusim {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for name, (options, run, texts) in COMMANDS.items():
+    for name in names:
+        options, run, texts = COMMANDS[name]
         options.add_command(commands, name, run, **texts)
     return parser
 

@@ -74,8 +74,6 @@ def sampling_difference(
 
     mean: mean spectrum, (L,). moments: second moments of spectra, (L, L). share: of the pixels of each channel, (C,).
     """
-    from scipy.interpolate import PchipInterpolator
-
     grid, product = product_on_grid(nodes, *factors)
     own = spectral_weights(nodes, grid)
 
@@ -88,6 +86,8 @@ def sampling_difference(
     if is_regular(nodes):
         found = size(product @ (own - node_weights(nodes, grid))) / whole
         return found, size(product @ (own - line_weights(nodes, grid))) / whole
+    from scipy.interpolate import PchipInterpolator
+
     difference = product @ (own @ mean - PchipInterpolator(nodes, mean)(grid))
     seen = share @ (product @ (own @ mean)) ** 2
     return (float(np.sqrt(share @ difference**2 / seen)) if seen > 0 else 0.0), 0.0

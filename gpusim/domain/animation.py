@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from math import ceil, cos, floor, inf, sin
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from gpusim.domain.content import Basis, Content, Cube
 from gpusim.domain.errors import BadData, OutOfRange

@@ -3,6 +3,7 @@
 from functools import lru_cache
 
 import numpy as np
+import scipy
 
 # Largest sum of magnitudes of a cubic spline's weights. On regular wavelengths it is 2. A narrow gap
 # next to a wide one makes it large: the spline then swings far beyond the samples.
@@ -19,7 +20,7 @@ def _swings_little(nodes):
     if len(nodes) < 3:
         return True
     at = np.array(nodes)
-    weights = _spline_weights(at, (at[1:] + at[:-1]) / 2)
+    weights = spline_weights(at, (at[1:] + at[:-1]) / 2)
     return bool(np.abs(weights).sum(axis=1).max() <= MOST_SWING)
 
 
@@ -37,7 +38,7 @@ def spectral_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
         The weights.
     """
     if is_regular(nodes):
-        return _spline_weights(nodes, at)
+        return spline_weights(nodes, at)
     return line_weights(nodes, at)
 
 
@@ -46,11 +47,40 @@ def line_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
     return np.stack([np.interp(at, nodes, one) for one in np.eye(len(nodes))], axis=1)
 
 
-def _spline_weights(nodes, at):
-    from scipy.interpolate import CubicSpline
+def spline_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return weights of a cubic spline through nodes (L,), at points (M,): (M, L).
 
-    ends = "not-a-knot" if len(nodes) > 3 else "natural"
-    return CubicSpline(nodes, np.eye(len(nodes)), bc_type=ends)(at)
+    Its ends are not-a-knot, or natural for up to three nodes. The bits are those of SciPy's
+    CubicSpline, whose import takes longer than a frame.
+    """
+    nodes, at = (np.asarray(values, np.float64) for values in (nodes, at))
+    unit, step = np.eye(len(nodes)), np.diff(nodes)
+    wide = step[:, None]
+    chord = np.diff(unit, axis=0) / wide
+    bands, right = np.zeros((3, len(nodes))), np.zeros_like(unit)  # of the slopes' equations
+    bands[:, 1:-1] = 2 * (step[:-1] + step[1:])
+    bands[0, 2:], bands[2, :-2] = step[:-1], step[1:]
+    right[1:-1] = 3 * (wide[1:] * chord[:-1] + wide[:-1] * chord[1:])
+    if len(nodes) > 3:
+        span = nodes[2] - nodes[0]
+        bands[1, 0], bands[0, 1] = step[1], span
+        right[0] = ((wide[0] + 2 * span) * wide[1] * chord[0] + wide[0] ** 2 * chord[1]) / span
+        span = nodes[-1] - nodes[-3]
+        bands[1, -1], bands[2, -2] = step[-2], span
+        right[-1] = wide[-1] ** 2 * chord[-2] + (2 * span + wide[-1]) * wide[-2] * chord[-1]
+        right[-1] /= span
+    else:
+        bands[1, 0], bands[0, 1] = 2 * step[0], step[0]
+        bands[1, -1], bands[2, -2] = 2 * step[-1], step[-1]
+        right[0], right[-1] = 3 * (unit[1] - unit[0]), 3 * (unit[-1] - unit[-2])
+    slopes = scipy.linalg.solve_banded((1, 1), bands, right)
+    bend = (slopes[:-1] + slopes[1:] - 2 * chord) / wide
+    piece = np.clip(np.searchsorted(nodes, at, "right") - 1, 0, len(nodes) - 2)
+    offset = (at - nodes[piece])[:, None]
+    out, power = unit[piece], offset
+    for factor in (slopes[:-1], (chord - slopes[:-1]) / wide - bend, bend / wide):
+        out, power = out + factor[piece] * power, power * offset
+    return out
 
 
 def stencil(nodes: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, int]:

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-import scipy.sparse.linalg
 
 from gpusim.domain.stored import stored
 from gpusim.optics.field import (
@@ -270,7 +269,9 @@ def _eigen_kernels(kernels):
         variances, vectors = np.linalg.eigh(gram)
     else:
         start = np.ones(len(kernels))  # the same each time
-        variances, vectors = scipy.sparse.linalg.eigsh(gram, MOST_TERMS, v0=start)
+        from scipy.sparse.linalg import eigsh  # 50 ms
+
+        variances, vectors = eigsh(gram, MOST_TERMS, v0=start)
     variances, vectors = np.maximum(variances[::-1], 0), vectors[:, ::-1]
     left = np.maximum(np.trace(gram) - np.cumsum(variances), 0) / kernels[:, :, 0, 0].size
     left = np.sqrt(left) * error_scale(kernels.shape[-1])

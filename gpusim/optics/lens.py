@@ -18,6 +18,7 @@ import scipy
 import scipy.special
 
 from gpusim.domain.camera import Camera
+from gpusim.domain.interpolation import spline_weights
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, symmetric
@@ -797,4 +798,4 @@ def wavelength_nodes(wavelengths, count: int = NODES):
     if len(wavelengths) <= count:
         return wavelengths, np.eye(len(wavelengths))
     nodes = np.linspace(wavelengths[0], wavelengths[-1], count)
-    return nodes, scipy.interpolate.CubicSpline(nodes, np.eye(count))(wavelengths)
+    return nodes, spline_weights(nodes, wavelengths)

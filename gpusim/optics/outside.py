@@ -213,7 +213,9 @@ def spread_afar(image, border: str, margin: int, tail: float, distance: float) -
     radius = np.hypot(at[:, None] * rows / high, at * cols / wide)
     area = rows * cols / (high * wide)
     kernel = np.where(radius > distance, tail * area / np.maximum(radius, distance) ** 3, 0)
-    light = scipy.signal.oaconvolve(world, kernel, "valid") - kernel.sum() * coarse
+    spectrum = scipy.fft.rfft2(world) * scipy.fft.rfft2(kernel, world.shape)
+    light = scipy.fft.irfft2(spectrum, world.shape)[2 * reach :, 2 * reach :]
+    light -= kernel.sum() * coarse
     above, left = round(margin / rows * high), round(margin / cols * wide)
     return light[above : high - above, left : wide - left]
 
@@ -330,7 +332,7 @@ class Outside:
     def spectrum(self) -> tuple[np.ndarray, float]:
         """Mean squares of the frame's light at FREQUENCIES along both axes, and of longer waves."""
         windows, light = self.windows()
-        fade = scipy.signal.windows.hann(WINDOW, sym=False).astype(np.float32)
+        fade = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
         fade = np.multiply.outer(fade, fade)
         light = (light - np.tensordot(light, fade / fade.sum(), 2)[:, None, None]) * fade
         power = np.tensordot(windows.weight, np.abs(scipy.fft.rfft2(light)) ** 2, 1)

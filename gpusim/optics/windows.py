@@ -5,9 +5,9 @@ the edges in them, and weighted by its inverse (Horvitz and Thompson, J. Am. Sta
 """
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
-import scipy
 
 from gpusim.optics.fusion import in_range
 
@@ -47,7 +47,7 @@ class Windows:
         """
         starts, energy, largest = _edges(brightness, margin, border, side - 2 * rim)
         if beside:
-            energy = scipy.ndimage.uniform_filter(energy, 2 * beside + 1, mode="constant")
+            energy = average_boxes(energy, 2 * beside + 1, "constant")
         drawn, weight = _draw(energy.ravel(), count)
         y, x = np.unravel_index(drawn, energy.shape)
         at = margin - rim + np.arange(side)
@@ -55,6 +55,24 @@ class Windows:
         steepest = float(largest.max() / seen) if seen > 0 else 1.0
         rows, cols = starts[0][y, None] + at, starts[1][x, None] + at
         return cls(rows, cols, weight / weight.sum(), steepest)
+
+
+def average_boxes(
+    values: np.ndarray, size: int, mode: Literal["constant", "symmetric"] = "symmetric"
+) -> np.ndarray:
+    """Return the means over size x size samples along the last two axes; size is odd.
+
+    They have the bits of `scipy.ndimage.uniform_filter`, whose import takes longer than a frame.
+
+    mode: of `np.pad`, for samples beyond the ends.
+    """
+    for axis in (-2, -1) if size > 1 else ():
+        wide = np.moveaxis(values, axis, 0).astype(np.float64)
+        wide = np.pad(wide, ((size // 2, size // 2), *((0, 0),) * (wide.ndim - 1)), mode=mode)
+        first = np.cumsum(wide[:size], axis=0)[-1:]
+        sums = np.cumsum(np.concatenate([first, wide[size:] - wide[:-size]]), axis=0)
+        values = np.moveaxis(sums / size, 0, axis).astype(values.dtype)
+    return values
 
 
 def _edges(brightness, margin, border, inner):

@@ -14,7 +14,6 @@ from gpusim.domain.display import decoding
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.labels import Pictured
 from gpusim.domain.short_repr import shorten_repr
-from gpusim.io.frame.frames import write_frame
 from gpusim.pipeline.report import Report
 
 T = TypeVar("T")
@@ -158,4 +157,6 @@ class Frame(Pictured):
             bits: Bits of a value; None uses the format's default.
             quality: Quality of a .jpg, 1 .. 100; None is 95.
         """
+        from gpusim.io.frame.frames import write_frame  # and all formats
+
         write_frame(path, self, bits, quality)

@@ -23,7 +23,6 @@ from gpusim.kernels.sensor.chip import chip
 from gpusim.kernels.sensor.flag import flag
 from gpusim.kernels.sensor.noise import MOST, OUT, noise
 from gpusim.kernels.sensor.pattern import pattern
-from gpusim.measure.merge import full_value
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
@@ -611,6 +610,8 @@ class Readout:
         Returns:
             True where one is full.
         """
+        from gpusim.measure.merge import full_value  # and all measurements
+
         full = self.device.numpy(raw) >= full_value(self.sensor_at_gain(gain))
         return self.device.numpy(self._bin(self.device.array(full.astype(np.float32)))) > 0
 

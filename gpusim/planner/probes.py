@@ -10,8 +10,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy.fft
-import scipy.ndimage
+import scipy
 
 from gpusim.domain.account import Bound
 from gpusim.domain.scene import View

@@ -11,6 +11,7 @@ import shlex
 import shutil
 from dataclasses import fields, replace
 from hashlib import sha256
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -171,6 +172,11 @@ ROWS = {
         "camera": ("--device numpy --pareto colorchecker", "--camera mono"),
         "out": ("--device numpy --pareto colorchecker", "-o out.png"),
     },
+    "warmup": {
+        "device": ("--device numpy", "--device warp:cpu"),
+        "camera": ("--device numpy --camera phone", "--camera mono"),
+        "tolerance": ("--device numpy", "--tolerance preview"),
+    },
     "devices": {"json": ("", "--json")},
 }
 
@@ -281,6 +287,7 @@ def record(monkeypatch):
 
     import gpusim.apps.l3.train
     import gpusim.apps.preview.page
+    import gpusim.apps.warmup
     import gpusim.backends.probe
     import gpusim.io.camera.learned
     import gpusim.judge.bench
@@ -316,6 +323,10 @@ def record(monkeypatch):
     def timed(device, stages, size):
         yield {"device": device.name, "stage": "all", "failed": said(*stages, size)}
 
+    def warmed(device, cameras, tolerances):
+        for asked in product(cameras, tolerances, gpusim.apps.warmup.SCENES):
+            yield gpusim.apps.warmup.Warmed(said(device, *asked), 0.0, "")
+
     def traded(camera, scene, device):
         row = dict.fromkeys(
             ("ms", "predicted_ms", "rms", "predicted", "p999_sigma", "max_sigma"), 1
@@ -332,6 +343,7 @@ def record(monkeypatch):
         (gpusim.judge.hard, "hard", hard),
         (gpusim.judge.combinations, "combinations", combined),
         (gpusim.judge.bench, "bench", timed),
+        (gpusim.apps.warmup, "warm_up", warmed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),
     ):

@@ -24,7 +24,7 @@ from gpusim.apps.preview.state import State
 from gpusim.domain.learned import FilterTable
 from gpusim.io.camera.learned import read_table, write_table
 from gpusim.io.frame.frames import FORMATS
-from gpusim.io.scene.scenes import TIFF
+from gpusim.io.scene.tiff import SUFFIXES as TIFF
 
 WAVES = np.array([400.0, 450.25, 500.0, 560.0, 650.0])
 RANDOM = np.random.default_rng(5)

@@ -47,10 +47,7 @@ from gpusim.domain.units import (
     letter_of,
     read_share_heading,
 )
-from gpusim.io.camera.calibration import read_calibration
 from gpusim.io.camera.learned import read_table
-from gpusim.io.camera.noise_profile import read_noise_profile
-from gpusim.io.camera.psf import read_psf
 from gpusim.io.files import name_in_errors, read_cells, read_text, reading
 
 _FOLDER = Path(str(resources.files("gpusim.data")), "cameras")
@@ -347,6 +344,8 @@ def _display(path, fields):
 
 def _apply_profile(path, sensor, noise):
     """Move the values of a DNG's noise profile into the fields; return its notes."""
+    from gpusim.io.camera.noise_profile import read_noise_profile
+
     with _name_key_in_errors(path, "[sensor] noise_profile"):
         profile = read_noise_profile(path.parent / sensor.pop("profile"))
     own = [
@@ -382,6 +381,8 @@ def _apply_calibration(path, fields, sensor):
     if "distortion" in fields:
         raise BadFile(path, "[optics] calibration and distortion: wanted one of them")
     if not isinstance(calibration, Calibration):
+        from gpusim.io.camera.calibration import read_calibration
+
         with _name_key_in_errors(path, "[optics] calibration"):
             calibration = read_calibration(
                 path.parent / calibration["file"], calibration.get("camera")
@@ -414,6 +415,8 @@ def _lens(path, fields):
             path, "[optics] lateral_color", fields["lateral_color"], has_shares=False
         )
     if "psf" in fields:
+        from gpusim.io.camera.psf import read_psf
+
         with _name_key_in_errors(path, "[optics] psf"):
             fields["psf"] = read_psf(path.parent / fields["psf"])
         notes += fields["psf"].notes
@@ -521,9 +524,18 @@ def _part(here, key, field, given):
         per_unit = MICRO if field == "defocus" else 1.0
         return dataclasses.replace(found, values=found.values / per_unit)
     if field == "calibration" and isinstance(given, dict):
+        from gpusim.io.camera.calibration import read_calibration
+
         return read_calibration(Path(given["file"]), given.get("camera"))
-    readers = {"psf": read_psf, "table": read_table, "profile": read_noise_profile}
-    return readers[field](Path(given)) if field in readers else given
+    if field == "psf":
+        from gpusim.io.camera.psf import read_psf
+
+        return read_psf(Path(given))
+    if field == "profile":
+        from gpusim.io.camera.noise_profile import read_noise_profile
+
+        return read_noise_profile(Path(given))
+    return read_table(Path(given)) if field == "table" else given
 
 
 def _read_csv(path, has_shares=True):

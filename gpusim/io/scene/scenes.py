@@ -23,17 +23,6 @@ from gpusim.domain.memory import describe_array, type_of
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.spectrum import energy_from_photons
 from gpusim.io.scene.depth import check_depth
-from gpusim.io.scene.npz import write_npz
-from gpusim.io.scene.readers import (
-    CHARTS_TAKE,
-    SUFFIXES,
-    read_folder,
-    read_scene,
-    select_options,
-)
-from gpusim.io.scene.scene_exr import write_scene_exr
-from gpusim.io.scene.scene_planes import write_envi, write_tiff
-from gpusim.io.scene.tiff import SUFFIXES as TIFF
 
 LIGHT, LUMINANCE = "D65", 100.0  # of reflectances with unknown light
 
@@ -115,7 +104,6 @@ def open_scene(
             f"open_scene: {type(name_or_path).__name__}, wanted a chart's name or a file; use "
             "gpusim.scene_from for an array"
         )
-    path = Path(name_or_path)
     check_depth(depth, fov)
     given = {
         "size": size,
@@ -131,32 +119,50 @@ def open_scene(
         "view": view,
     }
     given = {name: value for name, value in given.items() if value is not None}
-    level = LUMINANCE if luminance is None else luminance
     if str(name_or_path) in CHARTS:
         scene = chart(
             str(name_or_path),
             light=light or LIGHT,
-            luminance=level,
+            luminance=LUMINANCE if luminance is None else luminance,
             samples_per_pixel=1.0 if samples_per_pixel is None else samples_per_pixel,
-            **select_options(name_or_path, CHARTS_TAKE, given),
+            **_chart_options(name_or_path, given),
         )
-    elif path.suffix.lower() in SUFFIXES:
-        white = white_radiance(illuminant(light or LIGHT), level)
-        scene = relight(path, read_scene(path, white, given), light, luminance)
-    elif os.path.isdir(name_or_path):
-        white = white_radiance(illuminant(light or LIGHT), level)
-        scene = relight(path, read_folder(path, white, given), light, luminance)
+    else:
+        scene = _open_path(name_or_path, given, light, luminance)
+    changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
+    changes["projection"] = projection
+    changes = {key: value for key, value in changes.items() if value is not None}
+    return dataclasses.replace(scene, **changes) if changes else scene
+
+
+def _chart_options(name, given):
+    """Return the given options that a chart accepts. Raises OutOfRange for others."""
+    if given.keys() <= {"size"}:  # without the readers, whose import takes time
+        return given
+    from gpusim.io.scene.readers import CHARTS_TAKE, select_options
+
+    return select_options(name, CHARTS_TAKE, given)
+
+
+def _open_path(name, given, light, luminance):
+    """Return the scene of a file or a folder, in its light."""
+    from gpusim.io.scene.readers import SUFFIXES, read_folder, read_scene
+
+    path = Path(name)
+    if path.suffix.lower() in SUFFIXES:
+        read = read_scene
+    elif os.path.isdir(name):
+        read = read_folder
     else:
         for header in (f"{path}.hdr", path.with_suffix(".hdr") if path.suffix else ""):
             if os.path.isfile(header):
                 why = f"the samples of an ENVI file; open its header {Path(header).name}"
                 raise BadFile(path, why)
         known = [*CHARTS, *(f"<file>{suffix}" for suffix in SUFFIXES)]
-        raise UnknownName("scene", str(name_or_path), known)
-    changes: dict[str, Any] = {"border": border, "fov": fov, "samples_per_pixel": samples_per_pixel}
-    changes["projection"] = projection
-    changes = {key: value for key, value in changes.items() if value is not None}
-    return dataclasses.replace(scene, **changes) if changes else scene
+        raise UnknownName("scene", str(name), known)
+    level = LUMINANCE if luminance is None else luminance
+    white = white_radiance(illuminant(light or LIGHT), level)
+    return relight(path, read(path, white, given), light, luminance)
 
 
 def save_scene(
@@ -186,6 +192,11 @@ def save_scene(
         UnknownName: if the suffix is unknown.
         DoesNotFit: if the cube does not fit into memory.
     """
+    from gpusim.io.scene.npz import write_npz
+    from gpusim.io.scene.scene_exr import write_scene_exr
+    from gpusim.io.scene.scene_planes import write_envi, write_tiff
+    from gpusim.io.scene.tiff import SUFFIXES as TIFF
+
     suffix, scene = Path(path).suffix.lower(), checked_scene(scene, True)
     if suffix == ".exr":
         write_scene_exr(path, scene, radiance=radiance, half=half)

@@ -5,8 +5,8 @@ from dataclasses import replace
 from math import ceil
 
 import numpy as np
+import scipy
 from scipy.fft import dctn, idctn, irfft2, rfft2
-from scipy.ndimage import gaussian_filter
 
 from gpusim.domain.account import SAFETY, UNKNOWN, Bound, total
 from gpusim.domain.errors import OutOfRange
@@ -348,7 +348,7 @@ def _doubt_of(depth, picture, box):
     error.flat[mixed.at] = mixed.doubt(picture)
     error = error[box]
     sides = depth.confusion.ravel()[np.stack([mixed.front, mixed.back])]
-    return gaussian_filter(error, float(np.abs(sides).min()) / 4)
+    return scipy.ndimage.gaussian_filter(error, float(np.abs(sides).min()) / 4)
 
 
 def _left_of(question, sheets, begin):
@@ -397,7 +397,10 @@ def _behind_edges(question, sheets):
         light, square, is_sharp = None, 0.0, False
         for sheet in reversed(sheets):
             width = float(np.abs(sheet.radius).mean()) / 2
-            front, cover = gaussian_filter(sheet.light, width), gaussian_filter(sheet.alpha, width)
+            front, cover = (
+                scipy.ndimage.gaussian_filter(sheet.light, width),
+                scipy.ndimage.gaussian_filter(sheet.alpha, width),
+            )
             is_sharp |= bool(np.abs(sheet.radius).min() <= SHARP)
             if light is not None and np.ptp(cover) > 0:
                 apart = [blurred(one, is_sharp) for one in (cover * light, cover, light)]
@@ -461,7 +464,7 @@ class _Locating:
             part = question.weights.sum(axis=1)
             part = probes.seconds * float(part.max() / part.sum())
             # light may come from anywhere within the blur
-            level = np.maximum(gaussian_filter(light, NEAR), 0)
+            level = np.maximum(scipy.ndimage.gaussian_filter(light, NEAR), 0)
             self._scale = part / np.sqrt(np.maximum(part * level + probes.noise, 1))
 
     def __call__(self, error) -> Bound:

@@ -34,7 +34,7 @@ from gpusim.optics.farfield import POWERS, RATIO, SPACINGS, energies, gaussians,
 from gpusim.optics.lengths import Tiling
 from gpusim.optics.outside import FREQUENCIES, WINDOW, Outside, border_indices, rule_of
 from gpusim.optics.points import rim_centre, rim_radius
-from gpusim.optics.windows import quantile
+from gpusim.optics.windows import average_boxes, quantile
 from gpusim.planner.question import Question
 
 # [sample] of a frame along an axis, and of its blurred surroundings
@@ -356,7 +356,7 @@ def ring_errors(
     rows, cols = np.minimum(np.array(outside.image.shape) - 2 * outside.margin, valid)
     error = error[..., :rows, :cols] / outside.level * (HOT if outside.is_spiky else 1)
     across = 2 * outside.around + 1
-    local = scipy.ndimage.uniform_filter(light, (0, across, across))
+    local = average_boxes(light, across)
     local = local[:, rim : rim + rows, rim : rim + cols]
     sigma = error / np.sqrt(np.maximum(local / outside.level, 0) + outside.noise)[:, None]
     weight = windows.weight[:, None] * question.share

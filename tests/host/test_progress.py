@@ -1,0 +1,49 @@
+"""The channel of long work, and its line on a terminal."""
+
+import io
+import sys
+import time
+
+import pytest
+
+from gpusim.cli import progress
+from gpusim.domain.progress import announced, listening
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def test_listeners_hear_of_work_that_fails_too():
+    heard, other = [], []
+    with listening(heard.append), pytest.raises(ValueError, match="no"):
+        with listening(other.append), announced("compiling one"):
+            pass
+        with announced("compiling two"):
+            raise ValueError("no")
+    with announced("compiling three"):
+        pass
+    assert heard == ["compiling one", None, "compiling two", None]
+    assert other == ["compiling one", None]
+
+
+def test_long_work_has_a_line_that_goes(monkeypatch):
+    monkeypatch.setattr(progress, "WAIT", 0.01)
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    with progress.showing_progress():
+        with announced("compiling"):
+            while "compiling" not in sys.stderr.getvalue():
+                time.sleep(0.01)
+        shown = sys.stderr.getvalue()
+        print("a result")
+    assert shown.startswith("\rcompiling (0 s in all)\x1b[K") and shown.endswith("\r\x1b[K")
+    assert sys.stderr.getvalue() == shown
+
+
+def test_short_work_and_other_outputs_have_none(monkeypatch):
+    for stream in (Terminal(), io.StringIO()):
+        monkeypatch.setattr(sys, "stderr", stream)
+        with progress.showing_progress(), announced("compiling"):
+            pass
+        assert stream.getvalue() == ""
