@@ -458,7 +458,7 @@ def _blurs_in_focus(question, shape):
 
 
 def _transform_kernels(lens, wavelengths, size, shape):
-    """Return transforms of kernels of size x size samples, at places of the field, in a mirrored world of a shape."""
+    """Return transforms of kernels of size x size samples at places of the field, in a mirrored world."""
     at, found = np.arange(size) - size // 2, []
     y, x = (at % (2 * n) for n in shape)
     for place in ((0.0, 0.0),) if lens.is_uniform else PLACES:
