@@ -430,7 +430,7 @@ def _blurs_in_focus(question, shape):
     There is one function (spectra, whether over cells) for each place of the field. Samples in focus are even over
     their cells; out of focus the sum over the pupil has the cells. An aberrated kernel has them always.
     """
-    axes, rows, cols = (-2, -1), *shape
+    axes, (rows, cols) = (-2, -1), shape
     if question.lens.is_airy or question.lens.is_pointlike:
         # of the cosines of a mirrored world
         fy, fx = (np.arange(n)[:, None] / (2 * n) for n in shape)
