@@ -10,6 +10,7 @@ from gpusim.domain.memory import CPU
 
 # kept for reuse: fresh pages cost as much as the kernel that writes them (3 ms for 25 MB)
 FREE_BLOCKS = 32
+FREE_BYTES = 2**30  # more blocks, up to so much in all
 VECTOR = 16  # [byte] alignment of host memory that kernels use in place
 
 
@@ -155,7 +156,9 @@ class Block:
             self.__array_interface__ = host.__array_interface__
 
     def __del__(self):
-        if sum(map(len, list(self.free.values()))) < FREE_BLOCKS:  # a list: threads add sizes
+        free = [(nbytes, len(its)) for nbytes, its in list(self.free.items())]  # threads add sizes
+        held = self.nbytes + sum(nbytes * count for nbytes, count in free)
+        if held <= FREE_BYTES or sum(count for _, count in free) < FREE_BLOCKS:
             self.free[self.nbytes].append((self.buffer, self.host))
 
 

@@ -518,11 +518,12 @@ def covariance(lights, alphas, places, members, radii, points, border, weights=(
     lights, alphas, members = np.asarray(lights), np.asarray(alphas), np.asarray(members)
     radii, points = np.asarray(radii, np.float32), np.asarray(points, np.float32)
     weights, bends = np.asarray(weights, np.float32), np.asarray(bends, np.float32)
-    there, kinds = (members >= 0)[..., None], np.maximum(members, 0)[..., None]
+    there, kinds = (members >= 0)[..., None], np.maximum(members, 0)[..., None].astype(np.int64)
     (count, _), channels, (rows, cols) = places.shape, lights.shape[1], alphas.shape[1:]
     exact = np.zeros((channels, count))
     mean_light = np.zeros((len(members), channels, count))
     mean_alpha = np.zeros((len(members), count))
+    lights, alphas = lights.ravel(), alphas.ravel()
     size = max(TOGETHER // max(count, 1), 1)
     for n in range(0, len(points), size):
         some = points[n : n + size]
@@ -538,9 +539,11 @@ def covariance(lights, alphas, places, members, radii, points, border, weights=(
             )
             y, dark_y = _sample(places[:, :1] + down, rows, border)
             x, dark_x = _sample(places[:, 1:] + across, cols, border)
-            alpha = alphas[kinds[s], y, x] * there[s]
+            at = cols * y + x
+            alpha = alphas.take(kinds[s] * (rows * cols) + at) * there[s]
+            lit = there[s] & ~dark_y & ~dark_x if border == "zero" else there[s]
             for c in range(channels):
-                light = lights[kinds[s], c, y, x] * (there[s] & ~dark_y & ~dark_x)
+                light = lights.take((kinds[s] * channels + c) * (rows * cols) + at) * lit
                 exact[c] += (through * light) @ share
                 mean_light[s, c] += light @ share
             through *= 1.0 - alpha
@@ -551,7 +554,7 @@ def covariance(lights, alphas, places, members, radii, points, border, weights=(
 
 def _sample(at, size, border):
     """Indices of samples that stand for those at `at`, and whether these are in the dark."""
-    at = at.astype(int)
+    at = at.astype(np.int32)
     if border == "reflect":
         at = at % (2 * size)
         return np.where(at < size, at, 2 * size - 1 - at), np.zeros(at.shape, bool)

@@ -18,6 +18,7 @@ class Placed:
 
     def __init__(self, nodes: np.ndarray, shape: tuple[int, int], source: tuple[int, int]):
         self._source = source
+        self._known: dict[tuple, tuple[slice, slice]] = {}
         count = nodes.shape[:2]
         near = np.lib.stride_tricks.sliding_window_view(nodes[..., :2], (4, 4), axis=(0, 1))
         low, high = near.min(axis=(3, 4)), near.max(axis=(3, 4))
@@ -33,6 +34,12 @@ class Placed:
 
     def find_sources(self, part: tuple[slice, slice]) -> tuple[slice, slice]:
         """Return rows and columns of the source, at least all that pixels of a rectangle take light from."""
+        key = tuple((one.start, one.stop) for one in part)
+        if key not in self._known:  # layers have the same rectangles
+            self._known[key] = self._find_sources(part)
+        return self._known[key]
+
+    def _find_sources(self, part):
         cells = tuple(
             slice(np.searchsorted(end, one.start, "right"), np.searchsorted(first, one.stop))
             for one, first, end in zip(part, self._first, self._end, strict=True)

@@ -1,5 +1,7 @@
 """Layers by depth: each blurred for its distance, and laid over the farther ones."""
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,34 +53,38 @@ def prepare_layers(places, *, plan: Plan, device) -> tuple[PreparedLayer, ...]:
     depth, space, shape = plan.find(DepthPlan), plan.find(KernelSpace), plan.content.shape
     assert depth is not None and space is not None
     placed = None if places is None else Placed(places[2], shape, shape)
-    found = []
-    for layer in range(depth.layers):
+
+    def prepare(layer):
         coverage, confusion = depth.surface(layer)
-        shown = {}
-        if not depth.sheets and (at := depth.shown(layer)) is not None:
-            shown = _find_shown(at, depth.beside(layer), device)
+        at = None if depth.sheets else depth.shown(layer)
+        shown = None if at is None else _find_shown(at, depth.beside(layer))
         covers = np.stack([coverage, coverage * (confusion - confusion.min())]).astype(np.float32)
         lit = find_box(covers[0])
-        found.append(
-            PreparedLayer(
-                shown,
-                device.array(covers),
-                choose_terms(space, confusion, coverage, placed),
-                bool(np.all(coverage == 1)),
-                lit,
-                lit if placed is None else placed.find_window(lit),
-            )
-        )
-    return tuple(found)
+        window = lit if placed is None else placed.find_window(lit)
+        terms = choose_terms(space, confusion, coverage, placed)
+        return shown, covers, terms, bool(np.all(coverage == 1)), lit, window
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets other threads run
+        found = list(pool.map(prepare, range(depth.layers)))
+    layers = []
+    for shown, covers, *others in found:
+        inputs = {}
+        if shown is not None:
+            index, factor = shown
+            inputs = {"index": device.array(index, np.int32), "factor": device.array(factor)}
+        layers.append(PreparedLayer(inputs, device.array(covers), *others))
+    return tuple(layers)
 
 
-def _find_shown(shown, beside, device):
-    """Return inputs of `optics.reveal` for samples (rows, cols), less the light of others: see `DepthPlan.beside`."""
+def _find_shown(shown, beside):
+    """Return index and factor for `optics.reveal`, less the light of others: see `DepthPlan.beside`.
+
+    shown: samples whose light is shown, (rows, cols).
+    """
     shown = shown.ravel()
     other, factor = (one.ravel() for one in beside or (shown, np.zeros(shown.size, np.float32)))
     at = np.flatnonzero((shown != np.arange(shown.size)) | (factor != 0))
-    index = np.stack([at, shown[at], other[at]])
-    return {"index": device.array(index, np.int32), "factor": device.array(factor[at])}
+    return np.stack([at, shown[at], other[at]]), factor[at]
 
 
 def composite_layers(

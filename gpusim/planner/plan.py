@@ -2,6 +2,7 @@
 
 import functools
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TypeVar
@@ -407,8 +408,10 @@ def plan(
     told = functools.cache(lambda: probes or spectral.probes_of(question, picture, operation))
     if not scene.view.is_plain:
         pixels.note_view(question, told(), notes)
-    placed = pixels.plan_distortion(question, told, notes)
-    by_depth = blur.by_depth(question, told, placed, notes)
+    with ThreadPoolExecutor(1) as pool:  # NumPy lets other threads run
+        placing = pool.submit(pixels.plan_distortion, question, told, notes)
+        by_depth = blur.by_depth(question, told, placing.result, notes)
+        placed = placing.result()
     fixed = rounding_of(question, probes, single)
     seen = (
         _seen(question, picture, probes, operation, by_depth, fixed, notes)

@@ -255,36 +255,46 @@ def _on_host(device, it):
             )
             place = np.ix_(from_y, from_x)
             weight_place = np.ix_(y.clip(0, rows - 1), x.clip(0, cols - 1))
-        weights = coefficients[:, *weight_place][used]
-        weighted = np.empty((len(used), *period), np.float32)
-        weighted[:, len(y) :] = weighted[:, : len(y), len(x) :] = 0
+        weights = coefficients[:, *weight_place]
+        # the transform of rows of zeros is 0
+        weighted = np.zeros((len(used), len(y), period[1]), np.float32)
+        spectra = np.zeros((len(used), period[0], half), np.complex64)
         sums = np.zeros((len(mix), period[0], half), np.complex64)
-        spectra, seen = None, -1
+        product, seen = np.empty_like(sums[0]), -1
         for p, source in enumerate(it.sources):
             if source != seen:
                 light, seen = planes[source][place], source
                 if limit < NEVER:
                     light = np.where(light > limit, np.float32(0), light)
-                np.multiply(weights, light, out=weighted[:, : len(y), : len(x)])
-                spectra = scipy.fft.rfft2(weighted)
-            passed = spectra[0] * chosen[0][min(p, own - 1)]
+                for k, term in enumerate(used):
+                    np.multiply(weights[term], light, out=weighted[k, :, : len(x)])
+                spectra[:, : len(y)] = scipy.fft.rfft(weighted)
+                spectra[:, len(y) :] = 0
+                spectra = scipy.fft.fft(spectra, axis=1, overwrite_x=True)
+            own_kernels = chosen[:, min(p, own - 1)]
+            passed = spectra[0] * own_kernels[0]
             for k in range(1, len(used)):
-                passed += spectra[k] * chosen[k][min(p, own - 1)]
+                passed += np.multiply(spectra[k], own_kernels[k], out=product)
             for total, weight in zip(sums, mix[:, p], strict=True):
-                if weight:
-                    total += weight * passed
-        out[:, at] = scipy.fft.irfft2(sums, period, overwrite_x=True)
+                if weight == 1:
+                    total += passed
+                elif weight:
+                    total += np.multiply(weight, passed, out=product)
+        sums = scipy.fft.ifft(sums, axis=1, overwrite_x=True)
+        out[:, at] = scipy.fft.irfft(sums, period[1])
 
-    first, threads = 0, os.cpu_count() or 1
+    first, threads, room = 0, os.cpu_count() or 1, np.empty((0, 0), np.float32)
     with device.host_work(), ThreadPoolExecutor(threads) as pool:
         for used, members in it.groups:
             batch = max(HOST_BATCH // (len(used) * tables[0].nbytes), 1)
             for some in np.split(members, range(batch, len(members), batch)):
                 if it.index.ndim == 2:
-                    chosen = [[tables[kernel] for kernel in it.index[t]] for t in some]
+                    chosen = tables[it.index[some]]
                 else:
                     weights = it.index[some][:, used].reshape(-1, len(tables))
-                    combined = np.empty((len(weights), by_kernel.shape[1]), np.float32)
+                    if len(weights) > len(room):
+                        room = np.empty((len(weights), by_kernel.shape[1]), np.float32)
+                    combined = room[: len(weights)]  # fresh memory takes as long as the product
                     ends = np.linspace(0, by_kernel.shape[1], threads + 1).astype(int)
                     pieces = [slice(a, b) for a, b in itertools.pairwise(ends)]
                     parts = [[whole[:, one] for one in pieces] for whole in (by_kernel, combined)]

@@ -19,8 +19,9 @@ __kernel void begin(
     out[at] = change ? 0.0f : base[at];
 }
 
-// One place in one channel per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS and BENDS come
-// from the host and unroll the loops.
+// One place in AT_ONCE channels per work-item, all points of the pupil; gathers from a neighbourhood. A CPU takes all
+// channels, whose rays are the same; a GPU takes one, and has more work-items. AT_ONCE, SHEETS and BENDS come from the
+// host and unroll the loops.
 __kernel void occlude(
     // in:
     __global const float *restrict base,    // [channels][rows][cols]
@@ -40,10 +41,10 @@ __kernel void occlude(
     const int points_, const int count, const int rows, const int cols, const int channels, const int high,
     const int wide)
 {
-    const int e = get_global_id(0), c = get_global_id(1);
-    GUARD(e >= count || c >= channels)
+    const int e = get_global_id(0), first = get_global_id(1) * AT_ONCE;
+    GUARD(e >= count || first >= channels)
     const int y = places[2 * e] + margin, x = places[2 * e + 1] + margin;
-    float mean_light[SHEETS], mean_alpha[SHEETS], radius[SHEETS], there[SHEETS];
+    float mean_light[SHEETS][AT_ONCE], mean_alpha[SHEETS], radius[SHEETS], there[SHEETS];
     size_t light[SHEETS], alpha[SHEETS];
 #pragma unroll
     for (int s = 0; s < SHEETS; ++s) {
@@ -51,13 +52,17 @@ __kernel void occlude(
         there[s] = k < 0 ? 0.0f : 1.0f;
         radius[s] = radii[s * count + e];
         alpha[s] = (size_t)max(k, 0) * high * wide;
-        light[s] = ((size_t)max(k, 0) * channels + c) * high * wide;
-        mean_light[s] = mean_alpha[s] = 0.0f;
+        light[s] = ((size_t)max(k, 0) * channels + first) * high * wide;
+        mean_alpha[s] = 0.0f;
+#pragma unroll
+        for (int c = 0; c < AT_ONCE; ++c) mean_light[s][c] = 0.0f;
     }
     float bent[BENDS + 1];
 #pragma unroll
     for (int k = 0; k < BENDS; ++k) bent[k] = weights[k * count + e];
-    float exact = 0.0f;
+    float exact[AT_ONCE];
+#pragma unroll
+    for (int c = 0; c < AT_ONCE; ++c) exact[c] = 0.0f;
     for (int m = 0; m < points_; ++m) {
         const float v = points[3 * m], u = points[3 * m + 1], share = points[3 * m + 2];
         float through = 1.0f, down = 0.0f, across = 0.0f;
@@ -73,22 +78,28 @@ __kernel void occlude(
             const float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
             const int i = y + (int)floor(seen_y + 0.5f), j = x + (int)floor(seen_x + 0.5f);
             const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
-            float own = there[s] * lights[light[s] + at];
-            if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) own = 0.0f;
+            const int dark = BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide);
             const float covered = there[s] * alphas[alpha[s] + at];
-            exact += share * (through * own);
+#pragma unroll
+            for (int c = 0; c < AT_ONCE; ++c) {
+                const float own = dark ? 0.0f : there[s] * lights[light[s] + (size_t)c * high * wide + at];
+                exact[c] += share * (through * own);
+                mean_light[s][c] += share * own;
+            }
             through *= 1.0f - covered;
-            mean_light[s] += share * own;
             mean_alpha[s] += share * covered;
         }
     }
-    float product = 0.0f, before = 1.0f;
 #pragma unroll
-    for (int s = 0; s < SHEETS; ++s) {
-        product += before * mean_light[s];
-        before *= 1.0f - mean_alpha[s];
+    for (int c = 0; c < AT_ONCE; ++c) {
+        float product = 0.0f, before = 1.0f;
+#pragma unroll
+        for (int s = 0; s < SHEETS; ++s) {
+            product += before * mean_light[s][c];
+            before *= 1.0f - mean_alpha[s];
+        }
+        const size_t target = ((size_t)(first + c) * rows + y - margin) * cols + x - margin;
+        const float before_it = base[target];
+        out[target] = fmax(before_it + (exact[c] - product), 0.0f) - (change ? before_it : 0.0f);
     }
-    const size_t target = ((size_t)c * rows + y - margin) * cols + x - margin;
-    const float before_it = base[target];
-    out[target] = fmax(before_it + (exact - product), 0.0f) - (change ? before_it : 0.0f);
 }

@@ -24,7 +24,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Array, Case, stage
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 
 @stage
@@ -74,6 +74,9 @@ def occlude(
     if not terms:
         weights, bends = np.zeros((1, 1), np.float32), np.zeros((1, 1, 2), np.float32)
     defines = {"BORDER": BORDERS[border], "SHEETS": max(sheets, 1), "BENDS": terms}
+    at_once = channels if is_opencl_cpu(device) else 1
+    if device.kind == "opencl":
+        defines["AT_ONCE"] = at_once
     launch = functools.partial(device.launch, "optics.occlude", defines=defines)
     out = device.empty((channels, rows, cols))
     launch("begin", out.shape, base, out, int(change), *out.shape)
@@ -82,7 +85,7 @@ def occlude(
         of_rays = [device.array(one) for one in (radii, points, weights, bends)]
         arrays = [base, lights, alphas, *chosen, *of_rays, out]
         sizes = [margin, int(change), points.shape[0], count, rows, cols, *lights.shape[1:]]
-        launch("occlude", (channels, count), *arrays, *sizes)
+        launch("occlude", (channels // at_once, count), *arrays, *sizes)
     return out
 
 

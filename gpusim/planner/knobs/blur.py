@@ -1,7 +1,10 @@
 """Blur: its form, whether it is left out or follows the distance of objects, and doubts about its prediction."""
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from math import ceil
 
 import numpy as np
@@ -140,17 +143,19 @@ def doubt_of(question: Question) -> str:
 def by_depth(
     question: Question,
     probes: Callable[[], Probes],
-    placed: DistortionGrid | None,
+    place: Callable[[], DistortionGrid | None],
     notes: Notes,
 ) -> DepthPlan | None:
     """Return the plan of a blur that follows distance; None if it is the same at all distances.
 
-    `notes` then gives the reason and the error. probes: gives the scene's. placed: the lens's
+    `notes` then gives the reason and the error. probes: gives the scene's. place: gives the lens's
     distortion. Raises BadData, OutOfRange.
     """
     optics, facts, scene = question.optics, question.facts, question.scene
     if facts.depth is None:
         return None
+    if question.lens.fixed_distance or question.lens.distance_model:
+        place()  # its notes come first
     if why := question.lens.fixed_distance:
         notes.leave_out(
             f"depth: {why}, so the blur is the same at all distances",
@@ -171,7 +176,7 @@ def by_depth(
         question.limit,
         scene=scene,
         curvature=_curvature(question),
-        is_placed=placed is not None or not scene.view.is_plain,
+        is_placed=question.distortion is not None or not scene.view.is_plain,
         widest=8 * LONGEST_WAVEFRONT * float(np.min(question.q)),
         known=question.lens.distances,
     )
@@ -186,7 +191,7 @@ def by_depth(
                 f"{distance:.4g} m with the focus at {optics.object_distance:.4g} m",
                 f"nearer to the focus, or a smaller aperture: {error}",
             ) from None
-    return made if made.layers < 2 else _with_occlusion(question, made, probes, placed, notes)
+    return made if made.layers < 2 else _with_occlusion(question, made, probes, place(), notes)
 
 
 def _between_distances(question, depth, light):
@@ -242,18 +247,23 @@ def _with_occlusion(question, depth, probes, placed, notes):
     bent = bending.reach if bending else 0.0
     box, sources, places = _around_edges(depth, nodes, question.size, bent)
     sheets = depth.in_brightness(brightness, sources)
-    if nodes is not None:
-        sheets = [sheet.at(*places, border) for sheet in sheets]
     begin = np.array([one.start for one in box], np.int32)
     settings = question.optics.pupil, border, least
-    found = find_occlusion(sheets, *settings, bending=bending, begin=begin)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy and SciPy let other threads run
+        if nodes is not None:
+            sheets = list(pool.map(lambda sheet: sheet.at(*places, border), sheets))
+        finding = pool.submit(find_occlusion, sheets, *settings, bending=bending, begin=begin)
+        if not depth.sheets:
+            hiding = pool.submit(hidden_light, sheets)
+        known = probes() if question.tolerance is not None else None
+        window, tolerance = _densest(sheets), question.tolerance
+        fields = [{key: getattr(one, key)[window] for key in FIELDS} for one in sheets]
+        parts = [replace(one, **its) for one, its in zip(sheets, fields, strict=True)]
+        wrong = _behind_edges(question, parts)
+        light = picture[box].astype(np.float64)
+        locate = _Locating(question, light, known, square, picture.size)
+        found = finding.result()
     found = replace(found, places=found.places + begin)
-    known = probes() if question.tolerance is not None else None
-    window, tolerance = _densest(sheets), question.tolerance
-    parts = [replace(one, **{key: getattr(one, key)[window] for key in FIELDS}) for one in sheets]
-    wrong = _behind_edges(question, parts)
-    light = picture[box].astype(np.float64)
-    locate = _Locating(question, light, known, square, picture.size)
     product = _locate(question, wrong, light[window], known)
     if tolerance is None or product.ratio(tolerance) > NEGLIGIBLE:
         sharp = [k for k, one in enumerate(sheets) if np.abs(one.radius).max() + bent <= SHARP]
@@ -272,7 +282,7 @@ def _with_occlusion(question, depth, probes, placed, notes):
         )
     if not depth.sheets:
         rms = depth.predicted.pop(HIDDEN)
-        bounds[HIDDEN] = replace(locate(hidden_light(sheets)), rms=rms)
+        bounds[HIDDEN] = replace(locate(hiding.result()), rms=rms)
     if depth.mixed is not None and len(depth.mixed.at):
         seen = locate
         if sources != box:
@@ -392,54 +402,73 @@ def _behind_edges(question, sheets):
     field by the largest of some places. First each is blurred for its own distance, a disc of
     diameter c by a Gaussian of standard deviation c / 4.
     """
+    products, light, is_sharp = [], None, False
+    for sheet in reversed(sheets):
+        width = float(np.abs(sheet.radius).mean()) / 2
+        front, cover = (
+            scipy.ndimage.gaussian_filter(sheet.light, width),
+            scipy.ndimage.gaussian_filter(sheet.alpha, width),
+        )
+        is_sharp |= bool(np.abs(sheet.radius).min() <= SHARP)
+        if light is not None and np.ptp(cover) > 0:
+            products.append((np.stack([cover * light, cover, light]), is_sharp))
+        light = front if light is None else front + (1 - cover) * light
     found = np.zeros(sheets[0].alpha.shape)
-    for blurred in _blurs_in_focus(question, found.shape):
-        light, square, is_sharp = None, 0.0, False
-        for sheet in reversed(sheets):
-            width = float(np.abs(sheet.radius).mean()) / 2
-            front, cover = (
-                scipy.ndimage.gaussian_filter(sheet.light, width),
-                scipy.ndimage.gaussian_filter(sheet.alpha, width),
-            )
-            is_sharp |= bool(np.abs(sheet.radius).min() <= SHARP)
-            if light is not None and np.ptp(cover) > 0:
-                apart = [blurred(one, is_sharp) for one in (cover * light, cover, light)]
-                square = square + (apart[0] - apart[1] * apart[2]) ** 2
-            light = front if light is None else front + (1 - cover) * light
+    if not products:
+        return found
+    transform, blurs = _blurs_in_focus(question, found.shape)
+    spectra = [(transform(fields), is_sharp) for fields, is_sharp in products]
+    for blur in blurs:
+        square = 0.0
+        for one, is_sharp in spectra:
+            product, cover, light = blur(one, is_sharp)
+            square = square + (product - cover * light) ** 2
         found = np.maximum(found, np.sqrt(square))
     return found
 
 
 def _blurs_in_focus(question, shape):
-    """Yield functions (picture, whether over its cells) that blur a picture in focus, one for each place of the field.
+    """Return a transform of pictures (n, rows, cols), and functions from it to these pictures blurred in focus.
 
-    Samples in focus are even over their cells; out of focus the sum over the pupil has the cells.
-    An aberrated kernel has them always.
+    There is one function (spectra, whether over cells) for each place of the field. Samples in focus are even over
+    their cells; out of focus the sum over the pupil has the cells. An aberrated kernel has them always.
     """
+    axes, (rows, cols) = (-2, -1), shape
     if question.lens.is_airy or question.lens.is_pointlike:
         # of the cosines of a mirrored world
         fy, fx = (np.arange(n)[:, None] / (2 * n) for n in shape)
         s = np.minimum(np.hypot(fy, fx.T) * question.mean_q, 1)
         seen = 2 / np.pi * (np.arccos(s) - s * np.sqrt(1 - s * s))
         cells = np.sinc(fy * question.cell[0]) * np.sinc(fx.T * question.cell[1])
-        yield lambda one, with_cells: idctn(dctn(one) * (seen * cells if with_cells else seen))
-        return
+
+        def blur_round(spectra, with_cells):
+            return idctn(spectra * (seen * cells if with_cells else seen), axes=axes, workers=-1)
+
+        return partial(dctn, axes=axes, workers=-1), [blur_round]
     lens = question.lens
     nm = lens.nanometres(np.array([question.mean_q]))
     radius = ceil(lens.spread(nm) + RINGS * question.mean_q)
     size = max(lens.least_size, 2 * radius + 1)
-    at = np.arange(size) - size // 2
-    y, x = (at % (2 * n) for n in shape)  # of a mirrored world
+
+    def transform(fields):
+        return rfft2(np.pad(fields, ((0, 0), (0, rows), (0, cols)), mode="symmetric"), workers=-1)
+
+    def blur(spectra, _, passed):
+        return irfft2(spectra * passed, (2 * rows, 2 * cols), workers=-1)[:, :rows, :cols]
+
+    every = question.cache("kernels in focus", _transform_kernels, lens, nm, size, shape)
+    return transform, [partial(blur, passed=passed) for passed in every]
+
+
+def _transform_kernels(lens, wavelengths, size, shape):
+    """Return transforms of kernels of size x size samples at places of the field, in a mirrored world."""
+    at, found = np.arange(size) - size // 2, []
+    y, x = (at % (2 * n) for n in shape)
     for place in ((0.0, 0.0),) if lens.is_uniform else PLACES:
         kernel = np.zeros([2 * n for n in shape])
-        np.add.at(kernel, np.ix_(y, x), lens.kernels(nm, place, size)[0])
-        passed = rfft2(kernel / kernel.sum())
-
-        def blurred(one, with_cells, passed=passed):
-            wide = np.pad(one, [(0, n) for n in shape], mode="symmetric")
-            return irfft2(rfft2(wide) * passed, wide.shape)[: shape[0], : shape[1]]
-
-        yield blurred
+        np.add.at(kernel, np.ix_(y, x), lens.kernels(wavelengths, place, size)[0])
+        found.append(rfft2(kernel / kernel.sum()))
+    return found
 
 
 def _locate(question, error, light, probes):
