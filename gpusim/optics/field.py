@@ -663,8 +663,8 @@ class Differences:
         """Light that moves beyond differences, as a slope that gives them the first moments of all the light."""
         if self.lens.tail is None:
             return np.zeros((1, 1))  # the kernels hold all light
-        axis = self.lens.centroids(self.nodes, (0.0, 0.0), self.reference)
-        wanted = self.lens.centroids(self.nodes, place, distance) - axis
+        axis = self.lens.moments(self.nodes, (0.0, 0.0), self.reference)
+        wanted = self.lens.moments(self.nodes, place, distance) - axis
         at = np.arange(self.size) - self.size // 2
         moments = [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at]
         left = wanted - np.stack(moments, axis=1)

@@ -184,9 +184,12 @@ class Lens(Protocol):
         """
 
     def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
+        """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
+
+    def moments(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
         """Return the first moments of the energies of all pixels around a point's ideal image, (L, 2) [sample].
 
-        Rows come first. It is the centroid of the light, unless pixels are coarser than its finest waves.
+        They are the centroid, unless pixels are coarser than the light's finest waves.
         """
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance: float | None = None):
@@ -287,6 +290,10 @@ class _OnGrid:
     is_adjustable = True
     distances = None
     distance_model = ""
+
+    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        return self.centroids(wavelengths, place, distance)
 
     @property
     def is_uniform(self) -> bool:
@@ -518,17 +525,22 @@ class PupilLens(_OnGrid):
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
-        pupil, q = self.optics.pupil, self.q(wavelengths)
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
-        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
-        light = shifts - 2 * q[:, None] * mean_slopes(pupil, waves)
+        rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
+        return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+
+    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        q, light = self.q(wavelengths), self.centroids(wavelengths, place, distance)
         if q.min() >= 1:
             return light
+        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         if self.is_coarse:  # the kernels hold all light
             rays = self.spread(wavelengths, float(np.hypot(*place)), distance)
             size = 2 * int(np.ceil(rays + np.abs(shifts).max())) + 3
             return _first_moments(self.kernels(wavelengths, place, size, distance))
-        soft = self.optics.diffuser / self.pitch
+        pupil, soft = self.optics.pupil, self.optics.diffuser / self.pitch
+        waves = self.waves(wavelengths, *_polar(place), distance=distance)
         return _moments(pupil, waves, q, shifts, tuple(self.aperture), self.spots, soft, light)
 
 
