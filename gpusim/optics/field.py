@@ -57,7 +57,8 @@ class FieldBlur:
     (kernels, planes, m, m). index: kernel of each tile's terms, shape (tiles, terms). edges: the tiles' boundaries
     along rows and columns [source pixel]. error: relative RMS of a natural image, root mean square and largest over
     the probed places. convolutions: how many kernels a pixel's light goes through. cost: arithmetic of the transforms
-    per plane and frame [flop]. flat: relative RMS error of flat fields, and the largest, see `FlatField`.
+    per plane and frame [flop]. flat: relative RMS error of flat fields, and the largest, see `FlatField`. wrong: error
+    of the kernels at the worst place, shape (planes, m, m).
     """
 
     method: str
@@ -68,7 +69,8 @@ class FieldBlur:
     error: tuple[float, float]
     convolutions: int
     cost: float
-    flat: tuple[float, float] = (0.0, 0.0)
+    flat: tuple[float, float]
+    wrong: np.ndarray
 
     @cached_property
     def coefficients(self) -> np.ndarray:
@@ -84,6 +86,12 @@ class FieldBlur:
             "index": self.index.astype(np.int32),
             "edges": self.edges,
         }
+
+    @property
+    def worst_ratio(self) -> float:
+        """Error of a natural image by `wrong` over that of the frame, at least 1."""
+        worst = image_error(self.wrong[None], np.zeros_like(self.wrong[None]))[0]
+        return max(worst / max(self.error[0], 1e-300), 1.0)
 
     def bytes_of_tiles(self, channels) -> int:
         """Memory of the kernels' spectra and the blurred tiles [byte]."""
@@ -221,7 +229,8 @@ def overlap_add(
     maps = partial(_window_maps, along_y, along_x)
     error = image_error(mixed, wanted, groups)
     cost = _cost(edges, reach, terms)
-    return FieldBlur("overlap-add", maps, kernels, index, edges, error, terms, cost, wrong)
+    worst = _worst(mixed - wanted)
+    return FieldBlur("overlap-add", maps, kernels, index, edges, error, terms, cost, wrong, worst)
 
 
 def _windows(shape, grid, window="quadratic"):
@@ -330,18 +339,23 @@ def eigen_kernels(
     mean = kernels.mean(axis=0)
     differences = kernels - mean
     spectra = weigh(differences).reshape(len(places), -1)
-    variances, vectors = np.linalg.eigh(spectra @ spectra.T)
+    squares = spectra @ spectra.T
+    variances, vectors = np.linalg.eigh(squares)
     order = np.argsort(variances)[::-1][: MOST_TERMS - 1]
     # below the rounding of the Gram matrix a vector is noise, and more of them would not lower the error
-    vectors = vectors[:, order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]]
+    order = order[variances[order] > 1e-14 * max(variances.max(), 1e-300)]
+    variances, vectors = variances[order], vectors[:, order]
     probes, wanted = _truth(lens, shape, truth)
     at_probes = interpolate(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
     # U (U^T D): sums of differences, so their sums are zero
     basis = np.einsum("nk,npij->kpij", vectors, differences)
 
-    def error(count):
+    def made(count):
         rest = np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1])
-        return image_error(mean + rest, wanted, groups)
+        return mean + rest
+
+    def error(count):
+        return image_error(made(count), wanted, groups)
 
     between = interpolate(nodes, vectors, *flat.axes) if flat else None
 
@@ -364,6 +378,11 @@ def eigen_kernels(
         terms = low
     terms = min(terms, most)
 
+    # the worst of the places, at which kernels were analysed or compared
+    own = vectors[:, : terms - 1]
+    node = int(np.argmax(np.diag(squares) - own**2 @ variances[: terms - 1]))
+    rest = np.einsum("k,kpij->pij", own[node], basis[: terms - 1])
+    worst = _worst(np.concatenate([[rest - differences[node]], made(terms) - wanted]))
     reach = mean.shape[-1] // 2
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
     maps = partial(_eigen_maps, nodes, vectors[:, : terms - 1], shape)
@@ -377,6 +396,7 @@ def eigen_kernels(
         terms,
         _cost(edges, reach, terms),
         flat_error(terms),
+        worst,
     )
 
 
@@ -459,6 +479,11 @@ def image_error(kernels, wanted, groups: int = 1) -> tuple[float, float]:
     wrong = wrong.reshape(len(wrong), groups, -1).mean(axis=2).max(axis=1)
     scale = error_scale(kernels.shape[-1])
     return float(scale * np.sqrt(wrong.mean())), float(scale * np.sqrt(wrong.max()))
+
+
+def _worst(kernels):
+    """The kernels (planes, m, m) of the place at which a natural image through them is largest; (n, planes, m, m)."""
+    return kernels[np.argmax(np.square(weigh(kernels)).sum(axis=(1, 2, 3)))]
 
 
 def error_scale(size: int) -> float:
@@ -594,7 +619,8 @@ class Differences:
         count = FEW_NODES if error > COARSE else NODES
         self.nodes, between = wavelength_nodes(wavelengths, count)
         self.mix = mix @ between
-        self.size = max(self._enough(error, distance) for distance in self.distances)
+        sizes, self._cut = zip(*(self._enough(error, one) for one in self.distances), strict=True)
+        self.size = max(sizes)
         self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size, reference)
         self._known: dict = {}
 
@@ -617,24 +643,36 @@ class Differences:
         found = []
         for distance in self.distances:
             kernels = self.lens.kernels(self.nodes, place, self.size, distance)
-            differences = self._whole(_with_zero_sum(kernels - self._axis), place, distance)
+            differences = _with_zero_sum(kernels - self._axis)
+            differences = differences + self._slope(differences, place, distance)
             found.append(np.tensordot(self.mix, differences, 1))
         return np.concatenate(found)
 
-    def _whole(self, differences, place, distance):
-        """Differences with the first moments of all the light: light that moves beyond them is added as a slope."""
+    def end_error(self) -> float:
+        """Return the relative RMS error of a natural image by the end of the kernels, at the farthest corner."""
+        corner = farthest_corner(self.shape, self.middle) / self.corner
+        slopes = []
+        for distance in self.distances:
+            kernels = self.lens.kernels(self.nodes, corner, self.size, distance)
+            slope = self._slope(_with_zero_sum(kernels - self._axis), corner, distance)
+            slopes.append(np.tensordot(self.mix, np.broadcast_to(slope, kernels.shape), 1))
+        every = np.concatenate(slopes)[None]
+        return float(np.hypot(max(self._cut), image_error(every, np.zeros_like(every))[0]))
+
+    def _slope(self, differences, place, distance):
+        """Light that moves beyond differences, as a slope that gives them the first moments of all the light."""
         if self.lens.tail is None:
-            return differences  # the kernels hold all light
-        axis = self.lens.centroids(self.nodes, (0.0, 0.0), self.reference)
-        wanted = self.lens.centroids(self.nodes, place, distance) - axis
+            return np.zeros((1, 1))  # the kernels hold all light
+        axis = self.lens.moments(self.nodes, (0.0, 0.0), self.reference)
+        wanted = self.lens.moments(self.nodes, place, distance) - axis
         at = np.arange(self.size) - self.size // 2
         moments = [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at]
         left = wanted - np.stack(moments, axis=1)
         y, x = left.T[..., None, None] / (self.size * (at @ at))
-        return differences + y * at[:, None] + x * at
+        return y * at[:, None] + x * at
 
     def _enough(self, error, distance):
-        """Size of kernels beyond which the differences at the corners cost less than `error`."""
+        """Size of kernels beyond which the differences at the corners cost less than `error`, and what they cost."""
         least = self.lens.least_size
         if self.lens.tail is None and distance is not None:  # the spread ends
             least = max(least, 2 * int(np.ceil(self.lens.spread(self.nodes, 0.0, distance))) + 3)
@@ -653,8 +691,9 @@ class Differences:
                     cut = _with_zero_sum(whole - axis)[None]
                     inner = slice(most // 2 - size // 2, most // 2 + size // 2 + 1)
                     cut[..., inner, inner] = 0
-                    if image_error(cut, np.zeros_like(cut))[0] <= error:
-                        return size
+                    left = image_error(cut, np.zeros_like(cut))[0]
+                    if left <= error:
+                        return size, left
         raise OutOfRange(
             "field variation",
             f"kernels at the frame's corner wider than {WIDER[-1][-1]} pixels",

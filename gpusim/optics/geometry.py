@@ -40,6 +40,8 @@ RIM_PLACES = 33  # along an axis, at which these are looked at
 # [sample] between them, at least
 FIELD_NODES = (15, 25)
 FIELD_SPACING = 8
+# heights at which ripples of coarse pixels are found, and most [sample] that a spot moves from one to the next
+RIPPLE_PLACES, RIPPLE_STEP = 65, 0.2
 RATIO_TO_REPORT = 2.0  # source samples per pixel beyond which point sampling aliases
 
 
@@ -373,6 +375,41 @@ def widening(lens: Lens, wavelengths: np.ndarray, corner: float) -> float:
         return 0.0  # the flat holds it
     grown = lens.spread(wavelengths, 1.0) ** 2 - lens.spread(wavelengths) ** 2
     return max(grown, 0.0) / corner**2
+
+
+def pixel_ripple(
+    lens: Lens, wavelengths: np.ndarray, shares: np.ndarray, corner: float, farthest: float
+) -> float:
+    """Return the largest relative ripple of flat fields, because coarse pixels do not follow spots within them.
+
+    It is the divergence of `lens.moments` less `lens.centroids`, along a row and along a diagonal.
+
+    Args:
+        lens: The lens.
+        wavelengths: [nm], shape (L,).
+        shares: Share of each wavelength in the light of each channel, shape (C, L), sums 1.
+        corner: Distance of the frame's corner from its middle [sample]: field height 1.
+        farthest: Distance of the farthest place from the axis [sample].
+
+    Returns:
+        The ripple [1]; infinite if spots move too fast over the field to find it.
+    """
+    if lens.tail is None or lens.q(wavelengths).min() >= 1:
+        return 0.0
+    heights, most = np.linspace(0, farthest / corner, RIPPLE_PLACES), 0.0
+    for direction in (np.array([0.0, 1.0]), np.full(2, np.sqrt(0.5))):
+        places = [tuple((h * direction).tolist()) for h in heights]
+        light = np.array([lens.centroids(wavelengths, one) for one in places]) @ direction
+        if np.abs(np.diff(light, axis=0)).max() > RIPPLE_STEP:
+            return np.inf
+        seen = np.array([lens.moments(wavelengths, one) for one in places]) @ direction
+        left = (seen - light) @ shares.T
+        left -= left[0]
+        spread = left[1:] / (heights[1:, None] * corner)
+        most = max(
+            most, float(np.abs(np.gradient(left, heights * corner, axis=0)[1:] + spread).max())
+        )
+    return most
 
 
 def interpolation_error(

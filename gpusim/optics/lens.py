@@ -29,7 +29,13 @@ from gpusim.optics.geometric import coarse_kernel, ray_error, ray_tables
 from gpusim.optics.otf import transfer
 from gpusim.optics.psf import fastest_turn, mean_slopes, psf_tables, spread_at, steepest_slope
 from gpusim.optics.rays import AFFORDABLE, is_too_costly
-from gpusim.optics.sampled import difference_tables, sampled_kernel, sampled_transfer, window
+from gpusim.optics.sampled import (
+    difference_tables,
+    moment_of_pixels,
+    sampled_kernel,
+    sampled_transfer,
+    window,
+)
 from gpusim.optics.series import points_at
 
 # [nm] and its q, wavelength x f-number over the distance of samples, below which rays are counted: other tables are
@@ -181,6 +187,12 @@ class Lens(Protocol):
     def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
         """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
 
+    def moments(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
+        """Return the first moments of the energies of all pixels around a point's ideal image, (L, 2) [sample].
+
+        They are the centroid, unless pixels are coarser than the light's finest waves.
+        """
+
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance: float | None = None):
         """Return the optical transfer function around a point's image, without the pixels, complex (L, F).
 
@@ -279,6 +291,10 @@ class _OnGrid:
     is_adjustable = True
     distances = None
     distance_model = ""
+
+    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        return self.centroids(wavelengths, place, distance)
 
     @property
     def is_uniform(self) -> bool:
@@ -514,6 +530,31 @@ class PupilLens(_OnGrid):
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
+    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        q, light = self.q(wavelengths), self.centroids(wavelengths, place, distance)
+        if q.min() >= 1:
+            return light
+        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+        if self.is_coarse:  # the kernels hold all light
+            rays = self.spread(wavelengths, float(np.hypot(*place)), distance)
+            size = 2 * int(np.ceil(rays + np.abs(shifts).max())) + 3
+            return _first_moments(self.kernels(wavelengths, place, size, distance))
+        pupil, soft = self.optics.pupil, self.optics.diffuser / self.pitch
+        waves = self.waves(wavelengths, *_polar(place), distance=distance)
+        return _moments(pupil, waves, q, shifts, tuple(self.aperture), self.spots, soft, light)
+
+
+@stored
+def _moments(pupil, waves, q, shifts, aperture, spots, soft, centroids):
+    """First moments of all pixels' energies (L, 2): see `gpusim.optics.sampled.moment_of_pixels`."""
+    return np.array(
+        [
+            moment_of_pixels(pupil, wave, float(one), shift, aperture, spots, soft, centroid)
+            for wave, one, shift, centroid in zip(waves, q, shifts, centroids, strict=True)
+        ]
+    )
+
 
 @stored
 def _kernels(pupil, waves, q, shifts, is_coarse, *settings):
@@ -592,9 +633,7 @@ class MeasuredLens(_OnGrid):
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. The kernels hold all light."""
         size = max(self.least_size, 2 * int(np.ceil(self.spread((), 0.0, distance))) + 3) | 1
-        kernels = self.kernels(wavelengths, place, size, distance)
-        at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
-        return np.stack([kernels.sum(axis=2) @ at, kernels.sum(axis=1) @ at], axis=1)
+        return _first_moments(self.kernels(wavelengths, place, size, distance))
 
     def spread(self, wavelengths, height=0.0, distance=None) -> float:
         """See `Lens`."""
@@ -772,6 +811,12 @@ def kernels_at(lens: Lens, wavelengths, points, size: int) -> np.ndarray:
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         made = pool.map(lambda point: lens.kernels(wavelengths, point[0], size, point[1]), points)
         return np.array(list(made))
+
+
+def _first_moments(kernels) -> np.ndarray:
+    """Return the first moments of kernels (L, size, size), (rows, cols) [sample], shape (L, 2)."""
+    at = np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2
+    return np.stack([kernels.sum(axis=2) @ at, kernels.sum(axis=1) @ at], axis=1)
 
 
 def _disc_transfer(cycles) -> np.ndarray:

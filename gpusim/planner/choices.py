@@ -52,6 +52,23 @@ class Fusion:
 
 
 @dataclass(frozen=True, eq=False)
+class WorstKernels:
+    """Error of the kernels of a blur that varies over the field, at the worst place.
+
+    Attributes:
+        table: Planes from spectra, shape (planes, L).
+        kernels: Errors of the planes' kernels, shape (planes, m, m).
+        mix: Channels from planes, shape (C, planes).
+        ratio: Their error of a natural scene over its root mean square over the frame.
+    """
+
+    table: np.ndarray
+    kernels: np.ndarray
+    mix: np.ndarray
+    ratio: float
+
+
+@dataclass(frozen=True, eq=False)
 class Sampling:
     """Pixels made of several samples; without it, each pixel is one sample.
 

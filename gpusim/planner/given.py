@@ -13,7 +13,7 @@ from gpusim.optics.fusion import Watch
 from gpusim.optics.geometry import DistortionGrid
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lengths import Tiling
-from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Sampling
+from gpusim.planner.choices import Blur, Falloff, Fusion, Goal, Sampling, WorstKernels
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs import border, highlights, pixels, spectral
 from gpusim.planner.knobs.blur import doubt_of
@@ -174,7 +174,8 @@ def _planes(plan, probes):
         if varying is None:
             return probes.local(own.rms)
         (rms, most), (_, shaded) = varying.error, varying.flat
-        return field_bound(probes, own.rms, max(most / max(rms, 1e-300), 1.0), shaded)
+        ratio = max(most / max(rms, 1e-300), 1.0)
+        return field_bound(probes, own.rms, ratio, shaded, plan.find(WorstKernels))
     *_, (_, bound) = probes.fused_bounds(watch.inputs, fusion.transfers)
     return bound
 

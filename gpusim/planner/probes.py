@@ -294,6 +294,20 @@ class Probes:
         sigmas = float(size / np.sqrt(max(size + self.noise, 1)))
         return Bound(rms, rms * sigmas, rms * sigmas)
 
+    def kernel_error(self, table, kernels, mix) -> Bound:
+        """Return the error of kernels that are wrong by so much all over the frame.
+
+        Args:
+            table: Planes from spectra, (planes, L).
+            kernels: Errors of the planes' kernels, (planes, m, m), m odd.
+            mix: Weight of each plane in each channel, (C, planes).
+        """
+        at = (np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2) % SIDE
+        repeated = np.zeros((len(kernels), SIDE, SIDE))
+        np.add.at(repeated, (slice(None), at[:, None], at), kernels)
+        wrong = scipy.fft.rfft2(repeated).astype(np.complex64)
+        return self.bound(_mix(mix, _mix(table, self.spectra) * wrong))
+
     def even_error(self, rms: float) -> Bound:
         """Return an error of this relative RMS that is the same everywhere, such as rounding in transforms."""
         size, sigma = self._light.size * self.seconds * rms, self._sigma

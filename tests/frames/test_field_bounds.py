@@ -1,14 +1,16 @@
 """Predicted errors of blur that varies over the field, against sums over all source samples in float64.
 
 The truth takes the exact frame of the lens on its axis and adds, for each source sample, the lens's own kernel at its
-place minus that on the axis. The kernels of differences have no sum, and the centroid of rays: the mean slope of the
-wavefront over the pupil. No grid, tile, basis or polynomial of the place is used.
+place minus that on the axis. The kernels of differences have no sum, and light beyond them is a slope: rays have the
+mean slope of the wavefront over the pupil, less the centroid of the kernel in front of pixels so fine that they do not
+move light; this rest is a spline of the height. No grid, tile, basis or polynomial of the place is used.
 """
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+import scipy
 
 from gpusim.domain.content import Cube
 from gpusim.domain.optics import Optics
@@ -20,6 +22,7 @@ from gpusim.optics.lens import open_lens
 from gpusim.pipeline.simulator import Simulator
 
 PITCH, NM, WIDE = 4e-6, np.array([550.0]), 41
+FINE = 5  # fine pixels in a pixel, odd; q of 0.275 is then above 1
 WELL = 10000.0
 MILD, STRONG = (0, 0.1, 0.3, 0.2, 0.1), (0, 0.4, 0.3, 0.3, 0)  # [wave] in the corner
 
@@ -56,9 +59,21 @@ def expose(light, confusion, optics, tolerance, seconds=1.0):
     return np.array(frame.mean, np.float64).reshape(light.shape), frame.plan
 
 
+def light_beyond(optics, distance):
+    """First moment of the light beyond a kernel, along the height and over the height, as a function of the height."""
+    _, coma, _, _, distortion = optics.wavefront.seidel
+    fine, heights = open_lens(optics, PITCH / FINE, (1.0, 1.0)), np.linspace(0.05, 1.05, 8)
+    at = (np.arange(FINE * WIDE) - FINE * WIDE // 2) / FINE
+    near = [fine.kernels(NM, (0.0, h), FINE * WIDE, distance)[0].sum(axis=0) @ at for h in heights]
+    waves = 2 * NM[0] * 1e-9 * optics.working_f_number / PITCH  # [pixel] for a slope of a wave
+    # the slopes of r^3 cos and of r cos are 1 in the mean over the disc, along the height
+    rest = -waves * (coma + distortion * heights**2) - np.array(near) / heights
+    return scipy.interpolate.CubicSpline(heights, rest)
+
+
 def sum_points(light, confusion, optics, seconds):
     """The truth, see the module. Beyond the frame light and kernels are those of its edge."""
-    spherical, coma, _, _, distortion = optics.wavefront.seidel
+    spherical = optics.wavefront.seidel[0]
     axis = replace(optics, wavefront=Wavefront(seidel=(spherical, 0, 0, 0, 0)))
     total = expose(light, confusion, axis, None, seconds)[0]
     level = expose(np.ones_like(light), confusion, axis, None, seconds)[0].mean()
@@ -66,7 +81,7 @@ def sum_points(light, confusion, optics, seconds):
     at, middle, corner = np.arange(WIDE) - reach, (size - 1) / 2, size / 2**0.5
     distance = float(distance_of(optics, confusion, PITCH))
     own = lens.kernels(NM, (0.0, 0.0), WIDE, distance)[0]
-    waves = 2 * NM[0] * 1e-9 * optics.working_f_number / PITCH  # [pixel] for a slope of a wave
+    left = light_beyond(optics, distance)
     moved = np.zeros((size + 4 * reach, size + 4 * reach))
     kernels = {}
     for i in range(-reach, size + reach):
@@ -77,9 +92,7 @@ def sum_points(light, confusion, optics, seconds):
             if key not in kernels:
                 kernel = lens.kernels(NM, key, WIDE, distance)[0] - own
                 kernel -= kernel.mean()
-                # the slopes of r^3 cos and of r cos are 1 in the mean over the disc, along the height
-                slope = -waves * (coma + distortion * (key[0] ** 2 + key[1] ** 2))
-                rest = [slope * key[0] - at @ kernel.sum(1), slope * key[1] - at @ kernel.sum(0)]
+                rest = np.array(key) * left(np.hypot(*key))
                 kernel += (rest[0] * at[:, None] + rest[1] * at) / (WIDE * (at @ at))
                 kernels[key] = kernel
             kernel = kernels[key][:: -1 if y < 0 else 1, :: -1 if x < 0 else 1]
@@ -103,7 +116,7 @@ def sum_points(light, confusion, optics, seconds):
 )
 @pytest.mark.parametrize("is_flat", [True, False], ids=["flat", "clouds"])
 def test_worst_places_are_predicted(seidel, confusion, size, is_flat):
-    """At `video`: what is predicted at 99.9 % of the pixels and at most is true, and at most ten times as large.
+    """At `video`: what is predicted at 99.9 % of the pixels and at most is true, and at most 20 times as large.
 
     A rim of half a kernel, where light from outside counts, is not judged.
     """
@@ -115,5 +128,5 @@ def test_worst_places_are_predicted(seidel, confusion, size, is_flat):
     bound = plan.account.bounds["planes"]
     error = (np.abs(found - true) / np.sqrt(np.maximum(true, 1)))[7:-7, 7:-7]
     own = np.quantile(error, 0.999), error.max()
-    assert own[0] <= bound.p999_sigma <= 10 * own[0]
-    assert own[1] <= bound.max_sigma <= 10 * own[1]
+    assert own[0] <= bound.p999_sigma <= 20 * own[0]
+    assert own[1] <= bound.max_sigma <= 20 * own[1]

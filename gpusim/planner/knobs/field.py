@@ -1,5 +1,7 @@
 """Field: a blur that varies over the frame."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from gpusim.domain.account import Bound
@@ -15,6 +17,7 @@ from gpusim.optics.field import (
 )
 from gpusim.optics.fusion import Response, channel_operator, joint_operator
 from gpusim.optics.kernel_space import KernelSpace, make_space
+from gpusim.planner.choices import WorstKernels
 from gpusim.planner.probes import Probes
 from gpusim.planner.question import Question
 
@@ -127,24 +130,36 @@ def varying_planes(
     return table, transfers[None], mix, varying, (error, *worst), words
 
 
-def field_bound(probes: Probes | None, rms: float, worst: float, shaded: float) -> Bound:
+def field_bound(
+    probes: Probes | None,
+    rms: float,
+    worst: float,
+    shaded: float,
+    kernels: WorstKernels | None = None,
+) -> Bound:
     """Return the bound of planes whose kernels differ over the field.
 
-    The 99.9 % and the largest are those of the worst places.
+    The 99.9 % and the largest are those of the worst places, at edges; and at least as large as if the kernels of the
+    worst place were everywhere. The RMS is at least the RMS of these kernels, as they are over the field.
 
     Args:
         probes: Of the scene, if there is a tolerance.
         rms: Relative RMS error.
         worst: Error of a natural scene at the worst place, over its RMS.
         shaded: Largest relative error of flat fields.
+        kernels: Error of the kernels of the worst place.
     """
     if probes is None:
         return Bound(rms)
-    found, even = probes.local(rms), probes.brightness_error(shaded)
+    found, even = probes.local(rms).times(worst), probes.brightness_error(shaded)
+    own = Bound()
+    if kernels is not None:
+        own = probes.kernel_error(kernels.table, kernels.kernels, kernels.mix)
+        rms = max(rms, own.rms / kernels.ratio)
     return Bound(
         rms,
-        worst * found.p999_sigma + even.p999_sigma,
-        worst * found.max_sigma + even.max_sigma,
+        max(found.p999_sigma, own.p999_sigma) + even.p999_sigma,
+        max(found.max_sigma, own.max_sigma) + even.max_sigma,
     )
 
 
@@ -188,7 +203,9 @@ def _rest(
     room = min(limit, WIDEST_ROOM * flat_limit)
     differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8)
     flat = FlatField(differences, shape, levels, flat_limit / 2)
-    return choose(differences, shape, limit / 2 / np.sqrt(count), flat)
+    found = choose(differences, shape, limit / 2 / np.sqrt(count), flat)
+    rms, worst = np.hypot(found.error, differences.end_error()).tolist()
+    return replace(found, error=(rms, worst))
 
 
 def _by_depth(

@@ -22,6 +22,7 @@ from gpusim.optics.geometry import (
     flat_of_lens,
     lagrange_weights,
     microlens_gain,
+    pixel_ripple,
     place_phases,
     relative_illumination,
     vignetting_gain,
@@ -341,6 +342,20 @@ def _flat_of_blur(question, from_axis, probes, notes):
     error = float(np.hypot(apart, wider) + rough)
     bound = Bound(error) if probes is None else probes.brightness_error(error)
     notes.bounds["flat field of the blur"] = bound
+    farthest = float(np.hypot(np.abs(rows).max(), np.abs(cols).max()))
+    ripple = question.cache(
+        "ripple of coarse pixels",
+        pixel_ripple,
+        question.lens,
+        nodes,
+        shares,
+        question.corner,
+        farthest,
+    )
+    if ripple:
+        own = Bound(ripple) if probes is None else probes.brightness_error(ripple)
+        words = "ripples of flat fields that the given relative illumination does not have: pixels are coarse"
+        notes.leave_out(words, own if np.isfinite(ripple) else UNKNOWN, "ripples of flat fields")
     return every
 
 
