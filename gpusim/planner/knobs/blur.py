@@ -20,7 +20,7 @@ from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lens import open_lens
-from gpusim.optics.occlusion import SHARP, Bending, find_occlusion, hidden_light
+from gpusim.optics.occlusion import SHARP, Bending, Displaced, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.probes import SIDE, Probes
@@ -242,11 +242,15 @@ def _with_occlusion(question, depth, probes, placed, notes):
     bent = bending.reach if bending else 0.0
     box, sources, places = _around_edges(depth, nodes, question.size, bent)
     sheets = depth.in_brightness(brightness, sources)
+    displaced = None
     if nodes is not None:
+        at = tuple(one.start for one in sources)
+        is_cubic = placed is None or placed.method == "cubic"
+        displaced = Displaced(sheets, at, *places) if is_cubic else None
         sheets = [sheet.at(*places, border) for sheet in sheets]
     begin = np.array([one.start for one in box], np.int32)
     settings = question.optics.pupil, border, least
-    found = find_occlusion(sheets, *settings, bending=bending, begin=begin)
+    found = find_occlusion(sheets, *settings, bending=bending, begin=begin, displaced=displaced)
     found = replace(found, places=found.places + begin)
     known = probes() if question.tolerance is not None else None
     window, tolerance = _densest(sheets), question.tolerance
