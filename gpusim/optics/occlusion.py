@@ -190,6 +190,59 @@ class Bending:
 
 
 @dataclass(frozen=True, eq=False)
+class Displaced:
+    """Layers before a lens or a view displaces them, and the places from which their light comes.
+
+    Attributes:
+        sheets: The layers at their own places.
+        begin: Row and column of their first sample in the scene.
+        rows: Row in the sheets of the source of each place of a box of the frame, shape (rows, cols).
+        cols: Its column, the same shape.
+        flux: Factor of its light, the same shape.
+    """
+
+    sheets: Sequence[Sheet]
+    begin: tuple[int, int]
+    rows: np.ndarray
+    cols: np.ndarray
+    flux: np.ndarray
+
+    def maps(self, at: np.ndarray, apart: np.ndarray | int = 0) -> np.ndarray:
+        """Return inputs of `optics.occlude` at places (E, 2) of the box, in the sheets, float32 (9, E).
+
+        apart: derivatives are of places so far away (rows, cols) [sample].
+        """
+        beside = np.clip(at + apart, 0, np.array(self.rows.shape) - 1)
+        parts = [
+            [one[tuple(at.T)], *self._slopes(one, beside)]
+            for one in (self.rows, self.cols, self.flux)
+        ]
+        (down, across, flux), slopes = zip(*[(one[0], one[1:]) for one in parts], strict=True)
+        found = [down - at[:, 0], across - at[:, 1], *slopes[0], *slopes[1], flux, *slopes[2]]
+        return np.stack(found).astype(np.float32)
+
+    def in_frame(self, at: np.ndarray, begin: tuple[int, int]) -> np.ndarray:
+        """Return the same in the scene. begin: row and column of the box's first place in the frame."""
+        found = self.maps(at)
+        found[:2] += (np.array(self.begin) - begin)[:, None]
+        return found
+
+    @staticmethod
+    def _slopes(values, at):
+        """Derivatives of values along rows and columns, at places."""
+        found = []
+        for axis, size in enumerate(values.shape):
+            ends = []
+            for step in (1, -1):
+                place = at.copy()
+                place[:, axis] = np.clip(at[:, axis] + step, 0, size - 1)
+                ends.append((values[tuple(place.T)], place[:, axis]))
+            (high, last), (low, first) = ends
+            found.append((high - low) / np.maximum(last - first, 1))
+        return found
+
+
+@dataclass(frozen=True, eq=False)
 class Occlusion:
     """Inputs of `optics.occlude` that do not depend on channels.
 
@@ -200,6 +253,8 @@ class Occlusion:
         points: y, x and share of points of the pupil, float32 (M, 3).
         weights: Weight of each term of the rays' displacements at each place, float32 (K, E).
         bends: Displacement by each term at each point, (rows, cols) [sample], float32 (K, M, 2).
+        maps: Place and flux of the displaced light at each place, and their derivatives, float32 (9, E), see
+            `optics.occlude`; None: nothing is displaced.
         error: Bound of the changes that are not computed, and error of the sum over points where they are [brightness],
             shape (rows, cols).
         seen: Bound of what the sum changes where it is computed, scaled to the changes that were tried [brightness],
@@ -214,6 +269,7 @@ class Occlusion:
     points: np.ndarray
     weights: np.ndarray
     bends: np.ndarray
+    maps: np.ndarray | None
     error: np.ndarray
     seen: np.ndarray
     is_diffracted: bool = False
@@ -222,14 +278,15 @@ class Occlusion:
     @property
     def work(self) -> float:
         """Multiplications and additions of one channel."""
-        own = 12 * len(self.members) + 4 * len(self.weights)
+        own = (12 if self.maps is None else 24) * len(self.members) + 4 * len(self.weights)
         return float(own * len(self.places) * len(self.points))
 
-    def within(self, margin: int, shape: tuple[int, int]) -> "tuple[np.ndarray, ...]":
-        """Return places, members, radii and weights in a frame of `shape` that begins `margin` samples inside."""
+    def within(self, margin: int, shape: tuple[int, int]) -> tuple:
+        """Return places, members, radii, weights and maps in a frame of `shape` that begins `margin` samples inside."""
         at = self.places - margin
         some = ((at >= 0) & (at < shape)).all(axis=1)
-        return at[some], self.members[:, some], self.radii[:, some], self.weights[:, some]
+        maps = None if self.maps is None else self.maps[:, some]
+        return at[some], self.members[:, some], self.radii[:, some], self.weights[:, some], maps
 
 
 def pupil_points(pupil: Pupil, count: int) -> np.ndarray:
@@ -309,6 +366,7 @@ def find_occlusion(
     seed: int = 0,
     bending: Bending | None = None,
     begin: tuple[int, int] = (0, 0),
+    displaced: "Displaced | None" = None,
 ) -> Occlusion:
     """Return the places of a picture that need the sum over the pupil, and its points.
 
@@ -320,6 +378,7 @@ def find_occlusion(
         seed: Of the choice of the places at which errors are measured.
         bending: Displacements of rays by aberrations; None: there are none.
         begin: Row and column of the sheets' first sample in the frame.
+        displaced: The layers before the lens or a view displaces them; None: nothing is displaced.
     """
     shape = sheets[0].alpha.shape
     change, taking_part = _bounds(sheets, pupil, bending.reach if bending else 0.0)
@@ -330,7 +389,7 @@ def find_occlusion(
         nowhere, empty = np.empty((0, 2), np.int32), np.empty((0, 0), np.int32)
         points, unbent = np.empty((0, 3), np.float32), (no_weights, no_bends)
         radii = empty.astype(np.float32)
-        return Occlusion(nowhere, empty, radii, points, *unbent, error, np.zeros(shape))
+        return Occlusion(nowhere, empty, radii, points, *unbent, None, error, np.zeros(shape))
     members = _members(taking_part, places)
     kinds = np.maximum(members, 0)
     radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
@@ -339,20 +398,23 @@ def find_occlusion(
     random = np.random.default_rng(seed)
     some = random.permutation(len(places))[:SAMPLED]
     tried = places[some], members[:, some], radii[:, some]
-    light = np.stack([one.light for one in sheets])[:, None]
-    alpha = np.stack([one.alpha for one in sheets])
+    sources = sheets if displaced is None else displaced.sheets
+    light = np.stack([one.light for one in sources])[:, None]
+    alpha = np.stack([one.alpha for one in sources])
+    maps_at = displaced.maps if displaced else lambda at: None
 
     def weights_at(at):
         return bending.of_places(at + np.array(begin)) if bending else no_weights[:, : len(at)]
 
-    def values(points, at=None):
+    def values(points, at=None, maps=None):
         bends = bending.of_points(points) if bending else no_bends
         weights = weights_at(tried[0] if at is None else at)
-        return covariance(light, alpha, *tried, points, border, weights, bends)[0]
+        maps = maps_at(tried[0]) if maps is None else maps
+        return covariance(light, alpha, *tried, points, border, weights, bends, maps)[0]
 
     distinct = np.unique(radii[members >= 0])
     cells = None
-    if len(distinct) <= len(sheets):
+    if len(distinct) <= len(sheets) and displaced is None:
         if bending is None:
             cells = pupil_cells(pupil, distinct)
         elif not bending.is_local:
@@ -374,11 +436,15 @@ def find_occlusion(
     if bending is not None:
         weights, bends = weights_at(places), bending.of_points(points)
         numeric += _bending_error(bending, values, points, changed, tried)
+    maps = None
+    if displaced is not None:
+        maps = displaced.in_frame(places, begin)
+        numeric += _linear_error(displaced, values, points, changed, tried)
     error[places[:, 0], places[:, 1]] = numeric
     seen = np.where(change > least, change, 0)
     bound = _size(change[tried[0][:, 0], tried[0][:, 1]])
     seen *= _size(changed) / bound
-    chosen = places, members, radii, points.astype(np.float32), weights, bends
+    chosen = places, members, radii, points.astype(np.float32), weights, bends, maps
     return Occlusion(*chosen, error, seen)
 
 
@@ -398,6 +464,18 @@ def _bending_error(bending, values, points, changed, tried):
         steep += np.abs(moved).max(initial=0)
     between = bending.error / max(bending.reach, BENT)
     return apart**0.5 + (between + steep) * np.quantile(np.abs(changed), MOST_TRIED)
+
+
+def _linear_error(displaced, values, points, changed, tried):
+    """Error of places and fluxes of displaced light that are linear around a place.
+
+    A ray from t away meets S(x) + S'(x + t / 2) t but for third derivatives: slopes half a blur away tell the error.
+    """
+    apart, reach = 0.0, int(np.ceil(np.abs(tried[2]).max() / 2))
+    for step in np.eye(2, dtype=int):
+        there = values(points, maps=displaced.maps(tried[0], reach * step))
+        apart += np.quantile(np.abs(there - changed), MOST_TRIED) ** 2
+    return apart**0.5
 
 
 def hidden_light(sheets: Sequence[Sheet]) -> np.ndarray:
@@ -509,7 +587,9 @@ def _deviation(values, reach):
     return np.sqrt(np.where(variance > rounding, variance, 0))
 
 
-def covariance(lights, alphas, places, members, radii, points, border, weights=(), bends=()):
+def covariance(
+    lights, alphas, places, members, radii, points, border, weights=(), bends=(), maps=None
+):
     """Return the mean over the pupil of the light that layers let through, minus the product of means, (channels, E).
 
     Inputs as of `optics.occlude`. Only the choice of the sample that a point sees is made in float32, as on devices: a
@@ -518,6 +598,7 @@ def covariance(lights, alphas, places, members, radii, points, border, weights=(
     lights, alphas, members = np.asarray(lights), np.asarray(alphas), np.asarray(members)
     radii, points = np.asarray(radii, np.float32), np.asarray(points, np.float32)
     weights, bends = np.asarray(weights, np.float32), np.asarray(bends, np.float32)
+    moved = None if maps is None else np.asarray(maps, np.float32)[..., None]
     there, kinds = (members >= 0)[..., None], np.maximum(members, 0)[..., None].astype(np.int64)
     (count, _), channels, (rows, cols) = places.shape, lights.shape[1], alphas.shape[1:]
     exact = np.zeros((channels, count))
@@ -533,17 +614,22 @@ def covariance(lights, alphas, places, members, radii, points, border, weights=(
             bent += weight[:, None] * bend[n : n + size].T[:, None]
         through = np.ones((count, len(some)))
         for s, radius in enumerate(radii[..., None]):
-            down, across = (
-                np.floor(radius * one + more + np.float32(0.5))
-                for one, more in zip((v, u), bent, strict=True)
-            )
+            down, across = (radius * one + more for one, more in zip((v, u), bent, strict=True))
+            flux = np.float32(1)
+            if moved is not None:
+                flux = moved[6] + (moved[7] * down + moved[8] * across)
+                down, across = (
+                    moved[0] + (moved[2] * down + moved[3] * across),
+                    moved[1] + (moved[4] * down + moved[5] * across),
+                )
+            down, across = (np.floor(one + np.float32(0.5)) for one in (down, across))
             y, dark_y = _sample(places[:, :1] + down, rows, border)
             x, dark_x = _sample(places[:, 1:] + across, cols, border)
             at = cols * y + x
             alpha = alphas.take(kinds[s] * (rows * cols) + at) * there[s]
             lit = there[s] & ~dark_y & ~dark_x if border == "zero" else there[s]
             for c in range(channels):
-                light = lights.take((kinds[s] * channels + c) * (rows * cols) + at) * lit
+                light = lights.take((kinds[s] * channels + c) * (rows * cols) + at) * (flux * lit)
                 exact[c] += (through * light) @ share
                 mean_light[s, c] += light @ share
             through *= 1.0 - alpha

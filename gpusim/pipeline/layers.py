@@ -124,7 +124,7 @@ def composite_layers(
         placing = _Placing(places, lights, zoom, gains, plan.content.shape, border, beyond, device)
         picture = flatten(plan.scene)[0] if depth.sheets else None
         seen = planes_ if picture is None else planes(device, table, store(device, picture))
-    alphas, blurred, sharp = [], [], []
+    alphas, blurred, sharp, sources = [], [], [], []
     for layer, prepared in enumerate(layers):
         own, covers, terms = planes_, prepared.covers, prepared.terms
         if depth.sheets and (content := depth.sheets[layer][0]) is not plan.content:
@@ -161,12 +161,14 @@ def composite_layers(
         blurred.append(blurred_light)
         alphas.append(alpha)
         sharp.append(sharpen(light, cover, plan, device))
+        if depth.occlusion is not None and depth.occlusion.maps is not None:
+            sources.append(_undisplaced(own, prepared, plan, device))
     composed = composite(
         device.stack(blurred), device.stack(alphas), list(depth.groups), device=device
     )
     if depth.occlusion is None:
         return composed
-    groups = _Groups(blurred, alphas, sharp, list(depth.groups), plan, border, device)
+    groups = _Groups(blurred, alphas, sharp, sources, list(depth.groups), plan, border, device)
     return groups.occlude(groups.diffract(composed, tables), tables)
 
 
@@ -196,10 +198,20 @@ def sharpen(light, cover, plan: Plan, device) -> Any:
     return integrate(light, (form.mix * flat).astype(np.float32), device=device), cover
 
 
-class _Groups:
-    """Layers that are composed, blurred and sharp: sums of their parts. See `composite_layers`."""
+def _undisplaced(own, prepared, plan, device):
+    """Return the channels of a layer without blur, and its coverage, before lens and view displace them."""
+    cover = device.part(prepared.covers, slice(1))
+    light, _ = sharpen(own, cover, plan, device)
+    return light if prepared.is_whole else falloff(light, cover, device=device), cover
 
-    def __init__(self, lights, alphas, sharp, layers, plan, border, device):
+
+class _Groups:
+    """Layers that are composed, blurred and sharp: sums of their parts. See `composite_layers`.
+
+    sources: light and coverage of the layers before they are displaced; empty: they are not.
+    """
+
+    def __init__(self, lights, alphas, sharp, sources, layers, plan, border, device):
         self._plan, self._border, self._device = plan, border, device
         self._depth, form = plan.find(DepthPlan), plan.find(Blur)
         self._margin, self._period = plan.scene.margin - form.spare, form.period
@@ -214,6 +226,10 @@ class _Groups:
         self._blurred = list(zip(sums(lights), sums(alphas), strict=True))
         covers = sums([cover for _, cover in sharp])
         self._sharp = list(zip(sums([light for light, _ in sharp]), covers, strict=True))
+        self._sources = self._sharp
+        if sources:
+            both = [sums(list(one)) for one in zip(*sources, strict=True)]
+            self._sources = list(zip(*both, strict=True))
 
     def occlude(self, composed, tables):
         """Return composed channels with the sum over the pupil where several layers are out of focus.
@@ -221,15 +237,15 @@ class _Groups:
         Its change is of rays, and is blurred by diffraction.
         """
         found, device = self._depth.occlusion, self._device
-        places, members, radii, weights = found.within(self._margin, composed.shape[1:])
+        places, members, radii, weights, maps = found.within(self._margin, composed.shape[1:])
         if not len(places):
             return composed
         moved = tables.displacement(self._plan)
         base = self._move(composed, [-one for one in moved])
         change = occlude(
             base,
-            device.stack([light for light, _ in self._sharp]),
-            device.stack([device.part(cover, 0) for _, cover in self._sharp]),
+            device.stack([light for light, _ in self._sources]),
+            device.stack([device.part(cover, 0) for _, cover in self._sources]),
             places,
             members,
             radii,
@@ -239,6 +255,7 @@ class _Groups:
             change=True,
             weights=weights,
             bends=found.bends,
+            maps=maps,
             device=device,
         )
         _, smooth = tables.in_focus(self._plan)

@@ -21,7 +21,7 @@ __kernel void begin(
 
 // One place in AT_ONCE channels per work-item, all points of the pupil; gathers from a neighbourhood. A CPU takes all
 // channels, whose rays are the same; a GPU takes one, and has more work-items. AT_ONCE, SHEETS and BENDS come from the
-// host and unroll the loops.
+// host and unroll the loops. MAPS: whether the layers' light is displaced.
 __kernel void occlude(
     // in:
     __global const float *restrict base,    // [channels][rows][cols]
@@ -33,6 +33,7 @@ __kernel void occlude(
     __global const float *restrict points,  // [points_][3]
     __global const float *restrict weights, // [BENDS][count]
     __global const float *restrict bends,   // [BENDS][points_][2]
+    __global const float *restrict maps,    // [9][count], see occlude.py
     // out:
     __global float *restrict out,           // [channels][rows][cols]
     // params:
@@ -60,6 +61,9 @@ __kernel void occlude(
     float bent[BENDS + 1];
 #pragma unroll
     for (int k = 0; k < BENDS; ++k) bent[k] = weights[k * count + e];
+    float map[9];
+#pragma unroll
+    for (int k = 0; k < 9; ++k) map[k] = MAPS ? maps[k * count + e] : 0.0f;
     float exact[AT_ONCE];
 #pragma unroll
     for (int c = 0; c < AT_ONCE; ++c) exact[c] = 0.0f;
@@ -74,15 +78,23 @@ __kernel void occlude(
 #pragma unroll
         for (int s = 0; s < SHEETS; ++s) {
             if (there[s] == 0.0f) continue;
-            const float seen_y = BENDS ? radius[s] * v + down : radius[s] * v;
-            const float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
+            float seen_y = BENDS ? radius[s] * v + down : radius[s] * v;
+            float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
+            float flux = there[s];
+            if (MAPS) {
+                const float to_y = map[0] + (map[2] * seen_y + map[3] * seen_x);
+                const float to_x = map[1] + (map[4] * seen_y + map[5] * seen_x);
+                flux *= map[6] + (map[7] * seen_y + map[8] * seen_x);
+                seen_y = to_y;
+                seen_x = to_x;
+            }
             const int i = y + (int)floor(seen_y + 0.5f), j = x + (int)floor(seen_x + 0.5f);
             const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
             const int dark = BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide);
             const float covered = there[s] * alphas[alpha[s] + at];
 #pragma unroll
             for (int c = 0; c < AT_ONCE; ++c) {
-                const float own = dark ? 0.0f : there[s] * lights[light[s] + (size_t)c * high * wide + at];
+                const float own = dark ? 0.0f : flux * lights[light[s] + (size_t)c * high * wide + at];
                 exact[c] += share * (through * own);
                 mean_light[s][c] += share * own;
             }

@@ -21,6 +21,7 @@ def occlude(
     change=False,
     weights=None,
     bends=None,
+    maps=None,
 ):
     """Return the stage's result, see `occlude.py`."""
     if weights is None:
@@ -28,6 +29,6 @@ def occlude(
     out = np.array(base, np.float64)
     y, x = np.asarray(places).T
     at = np.asarray(places) + margin
-    more = covariance(lights, alphas, at, members, radii, points, border, weights, bends)
+    more = covariance(lights, alphas, at, members, radii, points, border, weights, bends, maps)
     out[:, y, x] = np.maximum(out[:, y, x] + more, 0)
     return out - base if change else out

@@ -30,12 +30,13 @@ def begin(
 
 
 @cache
-def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0):
+def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0):
     """Return the kernel of this name; constants as in OpenCL."""
     if kernel == "begin":
         return begin
     numbers, integers = (wp.types.vector(length=SHEETS, dtype=kind) for kind in (float, int))
     terms = wp.types.vector(length=BENDS + 1, dtype=float)
+    nine = wp.types.vector(length=9, dtype=float)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def occlude(
@@ -49,6 +50,7 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0):
         points: wp.array2d[float],
         weights: wp.array2d[float],
         bends: wp.array3d[float],
+        maps: wp.array2d[float],
         # out:
         out: wp.array3d[float],
         # params:
@@ -79,6 +81,10 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0):
         bent = terms()
         for k in range(wp.static(BENDS)):
             bent[k] = weights[k, e]
+        at = nine()
+        if wp.static(MAPS != 0):
+            for k in range(9):
+                at[k] = maps[k, e]
         exact = float(0.0)
         for m in range(points_):
             v = points[m, 0]
@@ -91,11 +97,19 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0):
                 down += bent[k] * bends[k, m, 0]
                 across += bent[k] * bends[k, m, 1]
             for s in range(wp.static(SHEETS)):
-                i = y + int(wp.floor(radius[s] * v + down + 0.5))
-                j = x + int(wp.floor(radius[s] * u + across + 0.5))
+                seen_y = radius[s] * v + down
+                seen_x = radius[s] * u + across
+                flux = there[s]
+                if wp.static(MAPS != 0):
+                    flux *= at[6] + (at[7] * seen_y + at[8] * seen_x)
+                    there_y = at[0] + (at[2] * seen_y + at[3] * seen_x)
+                    seen_x = at[1] + (at[4] * seen_y + at[5] * seen_x)
+                    seen_y = there_y
+                i = y + int(wp.floor(seen_y + 0.5))
+                j = x + int(wp.floor(seen_x + 0.5))
                 to_y = inside(i, high, wp.static(BORDER))
                 to_x = inside(j, wide, wp.static(BORDER))
-                own = there[s] * lights[layer[s], c, to_y, to_x]
+                own = flux * lights[layer[s], c, to_y, to_x]
                 if wp.static(BORDER == 0):
                     if i < 0 or i >= high or j < 0 or j >= wide:
                         own = 0.0

@@ -1,10 +1,12 @@
 """Edges of depth against rays: layers out of focus, through the pupil's own shape, with own geometry in float64."""
 
 from dataclasses import dataclass, replace
+from functools import cache
 
 import cv2
 import numpy as np
 import pytest
+from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import map_coordinates
 
 from gpusim.domain.calibration import Calibration
@@ -15,10 +17,11 @@ from gpusim.domain.scene import Layer, Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.depth import circle_of_confusion, distance_of
 from gpusim.optics.lens import PupilLens
-from gpusim.optics.occlusion import Bending, Sheet, covariance, find_occlusion
+from gpusim.optics.occlusion import Bending, Displaced, Sheet, covariance, find_occlusion
 from gpusim.pipeline.simulator import Simulator
 
 SIZE = 48
+PEDESTAL = 20.0
 READ = 2.0  # [e-]
 BANDS = np.array([540.0, 550.0, 560.0])
 # points along a sample, odd so that one is in its middle, and rays in the square around the pupil: light that is smooth
@@ -85,40 +88,48 @@ def transfer_of(pupil, fy, fx, q):
 
 
 def rays_and_product(
-    layers, pupil, q, fine, count, aberration=None, transfer=None, is_uniform=False
+    layers, pupil, q, fine, count, aberration=None, transfer=None, is_uniform=False, source=None
 ):
     """What a pixel sees by rays, and what the product of the layers' own means gives; diffraction in focus for both.
 
     The middle of a pixel, and `fine` x `fine` points a sample for the diffraction, look through
     each point u of the pupil at layer k at x + c_k u / 2. Samples are even over their cells.
-    aberration: function (v, u, y, x) that gives what is added to the places, (rows, cols). transfer: in
-    focus, of frequencies (fy, fx) [cycle/sample]; None: of a circle, near it for others. is_uniform:
-    whether the aberration is the same at all places.
+    aberration: function (v, u, y, x) that gives what is added to the places, (rows, cols): of the place that is
+    seen, whose light is thinned as rays spread. transfer: in focus, of frequencies (fy, fx) [cycle/sample]; None: of a
+    circle, near it for others. is_uniform: whether the aberration is the same at all places. source: function (y, x)
+    that gives the place of the light that a lens displaces there, and its flux.
     """
     size = layers[0].light.shape[0]
     at = (np.arange(-fine * 8, fine * (size + 8)) + 0.5) / fine - 0.5  # eight samples around
     y, x = np.meshgrid(at, at, indexing="ij")
     near = [np.clip(np.rint(one).astype(int), 0, size - 1) for one in (y, x)]
-    seen, lights, alphas = (np.zeros((n, *y.shape)) for n in (1, len(layers), len(layers)))
+    seen = np.zeros((1, *y.shape))
+    lights, alphas, even = (np.zeros((len(layers), *y.shape)) for _ in range(3))
+    if source is not None:
+        near = [np.clip(np.rint(one).astype(int), 0, size - 1) for one in source(y, x)[:2]]
     radii = [
         np.broadcast_to(layer.confusion, layer.light.shape)[near[0], near[1]] / 2
         for layer in layers
     ]
-    rays, counts = distinct(rays_of(pupil, count), layers, fine, aberration, is_uniform)
-    apart = 0.0, 0.0
+    rays, counts = distinct(rays_of(pupil, count), layers, fine, aberration, is_uniform, source)
     for (v, u), weight in zip(rays, counts / counts.sum(), strict=True):
         through = np.ones(y.shape)
         for k, (layer, radius) in enumerate(zip(layers, radii, strict=True)):
+            seen_at, spread = (y + radius * v, x + radius * u), 1.0
             if aberration is not None:  # of the place in the field that is seen
-                apart = aberration(v, u, y + radius * v, x + radius * u)
-                seen_at = y + radius * v + apart[0], x + radius * u + apart[1]
-                apart = aberration(v, u, *seen_at)
-            i = np.clip(np.floor(y + radius * v + apart[0] + 0.5).astype(int), 0, size - 1)
-            j = np.clip(np.floor(x + radius * u + apart[1] + 0.5).astype(int), 0, size - 1)
+                for _ in range(1 if is_uniform else 4):
+                    apart = aberration(v, u, *seen_at)
+                    seen_at = y + radius * v + apart[0], x + radius * u + apart[1]
+                spread = 1.0 if is_uniform else thinned(aberration, v, u, *seen_at)
+            flux = 1.0
+            if source is not None:
+                *seen_at, flux = source(*seen_at)
+            i, j = (np.clip(np.floor(one + 0.5).astype(int), 0, size - 1) for one in seen_at)
             own = layer.alpha[i, j]
-            light = weight * own * layer.light[i, j]
+            light = weight * spread * flux * own * layer.light[i, j]
             lights[k] += light
-            alphas[k] += weight * own
+            alphas[k] += weight * spread * own
+            even[k] += weight * spread
             seen[0] += through * light
             through = through * (1 - own)
     f = np.fft.fftfreq(len(at), 1 / fine)
@@ -132,12 +143,21 @@ def rays_and_product(
         blurred = np.fft.ifft2(np.fft.fft2(pictures) * passed).real
         return np.array([one[middle][:size, :size] for one in blurred])
 
-    return image(seen)[0], compose(image(lights), image(alphas))
+    return image(seen)[0], compose(image(lights), image(alphas / even))
 
 
-def distinct(rays, layers, fine, aberration=None, is_uniform=False):
+def thinned(aberration, v, u, y, x):
+    """Light of a place that the ray (v, u) carries, where its displacements spread or crowd: by differences."""
+    (dyy, dxy), (dyx, dxx) = (
+        np.subtract(aberration(v, u, y + h, x + w), aberration(v, u, y - h, x - w)) / 0.02
+        for h, w in ((0.01, 0), (0, 0.01))
+    )
+    return 1 / ((1 - dyy) * (1 - dxx) - dyx * dxy)
+
+
+def distinct(rays, layers, fine, aberration=None, is_uniform=False, source=None):
     """Rays of which no two see the same samples of layers that are all at one distance; the rays each stands for."""
-    varies = aberration is not None and not is_uniform
+    varies = source is not None or (aberration is not None and not is_uniform)
     if varies or any(np.ndim(layer.confusion) for layer in layers):
         return rays, np.ones(len(rays))
     bends = (0.0, 0.0) if aberration is None else aberration(*rays.T, 0.0, 0.0)
@@ -193,14 +213,12 @@ def error_in_sigma(
     points=SHARP,
     device="opencl:0",
     well=10000.0,
-    placed=lambda one: one,
     **lens,
 ):
     """(frame - truth) / sigma, where light 1 gives `well` electrons, inside a rim of 6 samples; and the plan.
 
     The blur of one layer is by waves and not in question: frames of single layers, each all at one
-    distance, give it. What layers hide of each other is by rays. placed: displaces a picture as the
-    lens does. lens: see `rays_and_product`.
+    distance, give it. What layers hide of each other is by rays. lens: see `rays_and_product`.
     """
     cam = camera(optics, pitch)
     scene = scene_of(layers, optics, pitch)
@@ -215,12 +233,16 @@ def error_in_sigma(
         one_layer(Flat(np.ones((SIZE, SIZE)), 1, one.confusion if optics.varies else 0.0), cam)
         for one in layers
     ]
+    white = 1.0
+    if optics.distortion is not None:  # coverage is displaced without the flux of light
+        white, even = density(*np.indices((SIZE, SIZE))), [well / seconds] * len(layers)
     covers = [
-        one_layer(replace(one, light=1.0), cam) / its for one, its in zip(layers, even, strict=True)
+        one_layer(replace(one, light=white), cam) / its
+        for one, its in zip(layers, even, strict=True)
     ]
     q = 550e-9 * optics.working_f_number / pitch
     rays, product = rays_and_product(layers, optics.pupil, q, *points, **lens)
-    truth = well * (compose(np.array(each), np.array(covers)) + placed(rays - product))
+    truth = well * (compose(np.array(each), np.array(covers)) + rays - product)
     noise = np.sqrt(np.maximum(truth, 1) + READ**2)
     return ((mean - truth) / noise)[6:-6, 6:-6], frame.plan
 
@@ -228,14 +250,22 @@ def error_in_sigma(
 def one_layer(layer, cam):
     """Electrons of one second of a layer in front of nothing.
 
-    Where the blur varies, kernels for no tolerance err by 4e-4, with seams of 3e-3 where tiles meet.
+    Where the blur varies, kernels for no tolerance err by 4e-4, with seams of 3e-3 where tiles meet. Displaced light in
+    the dark would be spread, so that no cubic falls below 0: more light at all samples, which is taken away again,
+    keeps it sharp, as it is next to other layers.
     """
     light = layer.light * np.ones((SIZE, SIZE)) * layer.alpha
-    alone = Flat(light, np.ones((SIZE, SIZE)), layer.confusion)
-    scene = scene_of([alone], cam.optics, cam.sensor.pixel_pitch)
     tolerance = 1e-4 if cam.optics.varies else None
     simulator = Simulator(cam, device="numpy", tolerance=tolerance)
-    return np.array(simulator.expose(scene, 1.0).mean, np.float64)
+
+    def electrons(light):
+        alone = Flat(light, np.ones((SIZE, SIZE)), layer.confusion)
+        scene = scene_of([alone], cam.optics, cam.sensor.pixel_pitch)
+        return np.array(simulator.expose(scene, 1.0).mean, np.float64)
+
+    if cam.optics.distortion is None:
+        return electrons(light)
+    return electrons(light + PEDESTAL) - electrons(np.full((SIZE, SIZE), PEDESTAL))
 
 
 ONE = np.ones((SIZE, SIZE))
@@ -315,22 +345,56 @@ def zernike(v, u, y, x):
     return 2 * Q * (down + fourth * v), 2 * Q * (across + fourth * u)
 
 
-def bent(picture):
-    """A picture behind the calibration of `LENSES`, at the places that OpenCV finds, by cubics."""
-    y, x = np.meshgrid(*[np.arange(SIZE, dtype=float)] * 2, indexing="ij")
-    wanted = np.stack([x.ravel(), y.ravel()], axis=1)
-    found, here = wanted, np.zeros(3)
+def seen_by_opencv(y, x):
+    """Places at which the calibration of `LENSES` puts the light of places, any shape."""
+    rays = np.stack([(np.ravel(x) - 23.5) / 1250, (np.ravel(y) - 23.5) / 1250, np.ones(np.size(x))])
+    here = np.zeros(3)
+    found = cv2.projectPoints(rays.T[:, None], here, here, MATRIX, BENT)[0][:, 0]
+    return [one.reshape(np.shape(x)) for one in found.T[::-1]]
+
+
+def density(y, x):
+    """Area that a unit of area fills behind the calibration, by differences."""
+    (yy, xy), (yx, xx) = (
+        np.subtract(seen_by_opencv(y + h, x + w), seen_by_opencv(y - h, x - w)) / 0.02
+        for h, w in ((0.01, 0), (0, 0.01))
+    )
+    return yy * xx - yx * xy
+
+
+@cache
+def table_of_sources():
+    """Offsets to the light of places 1 / FINE of a sample apart, from -AROUND on, and its flux, (3, n, n).
+
+    Steps toward the light of places one sample apart; splines between.
+    """
+    at = np.arange(-AROUND, SIZE + AROUND + 1.0)
+    wanted = np.stack(np.meshgrid(at, at, indexing="ij"))
+    found = wanted
     for _ in range(40):
-        rays = np.column_stack([(found - MATRIX[:2, 2]) / MATRIX[0, 0], np.ones(len(found))])
-        moved = cv2.projectPoints(rays[:, None], here, here, MATRIX, BENT)[0][:, 0]
+        moved = np.array(seen_by_opencv(*found))
         found = found + wanted - moved
     assert np.abs(moved - wanted).max() < 1e-6
-    x, y = found.T.reshape(2, SIZE, SIZE)
-    dy, dx = np.gradient(y), np.gradient(x)
-    area = np.abs(dy[0] * dx[1] - dy[1] * dx[0])  # a flat field is the sum of its points
-    return area * map_coordinates(picture, [y, x], order=3, mode="nearest")
+    fine = np.arange(FINE * int(at[-1] - at[0]) + 1) / FINE + at[0]
+    # a flat field is the sum of its points
+    every = *(found - wanted), 1 / density(*found)
+    return np.stack([RectBivariateSpline(at, at, one)(fine, fine) for one in every])
 
 
+def source(y, x):
+    """Row, column and flux of the light that the calibration brings to places.
+
+    Offsets change by up to 0.085 a sample: those of the nearest place of the table are right to 0.003 sample.
+    """
+    table = table_of_sources()
+    i, j = (
+        np.clip(np.rint(FINE * (one + AROUND)).astype(int), 0, table.shape[1] - 1) for one in (y, x)
+    )
+    down, across, flux = table[:, i, j]
+    return y + down, x + across, flux
+
+
+AROUND, FINE = 20, 16
 MATRIX = np.array([[1250.0, 0, 23.5], [0, 1250.0, 23.5], [0, 0, 1.0]])
 BENT = np.array([-40.0, 0, 0, 0, 0])  # 3 % in the corner
 CALIBRATION = Calibration.of(MATRIX, list(BENT), (SIZE, SIZE))
@@ -344,49 +408,39 @@ LENSES = {
     ),
     "Seidel": (replace(PHONE, wavefront=SEIDEL), {"aberration": seidel}),
     "Zernike": (replace(PHONE, wavefront=ZERNIKE), {"aberration": zernike, "is_uniform": True}),
-    "distortion": (replace(PHONE, distortion=CALIBRATION), {"placed": bent}),
+    "distortion": (replace(PHONE, distortion=CALIBRATION), {"source": source}),
 }
 
 
 # 99.9 % of the pixels at 10,000 electrons [sigma]
-LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.45, "distortion": 0.6}
+LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.45, "distortion": 0.12}
 
 
+@pytest.mark.parametrize("lens", ["distortion", "Zernike", "six blades", "Seidel"])
 @pytest.mark.parametrize(
-    "lens",
-    [
-        "distortion",
-        *(pytest.param(one, marks=pytest.mark.slow) for one in ("Zernike", "six blades", "Seidel")),
-    ],
+    "name", ["on both sides", "both nearer", "three layers", "slanted", "back in focus"]
 )
-@pytest.mark.parametrize(
-    "name",
-    [
-        "on both sides",
-        *(
-            pytest.param(one, marks=pytest.mark.slow)
-            for one in ("both nearer", "three layers", "slanted", "back in focus")
-        ),
-    ],
-)
+@pytest.mark.slow
 def test_edges_behind_any_lens_are_those_of_rays(lens, name):
-    """As above: 0.1 sigma behind blades and aberrations that are the same everywhere; never "met" if it is above.
+    """As above: 0.1 sigma behind blades, distortion and aberrations that are the same everywhere; "met" only then.
 
-    A distortion moves steps between samples, of coverage and of light, which are resampled: 0.6 sigma.
-    A frame of 48 samples with waves of aberration in its corner has other displacements of rays at
-    each place that a pixel sees: by up to 0.05 sample for each sample in between, which is up to a
+    Behind distortion, 20,000 rays of the truth err by 0.03 sigma. Surfaces that are slanted have another blur
+    at each place that a pixel sees. A frame of 48 samples with waves of aberration in its corner has other
+    displacements of rays at each place, too: by up to 0.05 sample for each sample in between, which is up to a
     third of a sample here. Light in focus behind an aberration is spread over few samples, between which
     the sum is not known: 0.8 sigma. The account has bounds of all.
     """
     optics, more = LENSES[lens]
     layers, points = SCENES[name]
+    if lens == "distortion":
+        points = {SHARP: (5, 600), SMOOTH: (1, 20000)}.get(points, points)
     if lens == "Seidel":
         points = SLANTED
     error, plan = error_in_sigma(layers, optics, points=points, **more)
     own = np.quantile(np.abs(error), 0.999)
     usual = LIMITS[lens]
     if name in ("slanted", "back in focus"):
-        usual = 1.0 if lens == "Zernike" else max(usual, 0.25)
+        usual = 1.0 if lens == "Zernike" else max(usual, 0.3)
     assert own < usual
     assert own < 1.5 * plan.account.total.p999_sigma + 0.03
     if plan.verdict.is_met:
@@ -442,7 +496,7 @@ def test_sums_over_an_aberrated_pupil_are_those_of_rays(lens):
     middle = ((SIZE - 1) / 2,) * 2
     bending = Bending(optics, PITCH, middle, SIZE / 2**0.5, ((-1, -1), (SIZE, SIZE)))
     light, alpha = (np.stack([getattr(one, key) for one in sheets]) for key in ("light", "alpha"))
-    rays, product = rays_and_product(layers, Pupil(), 1e-9, 1, 6000, **more)
+    rays, product = rays_and_product(layers, Pupil(), 1e-9, 1, 2000, **more)
     errors = []
     for used in (bending, None):
         found = find_occlusion(sheets, Pupil(), "edge", 1e-4, bending=used)
@@ -452,6 +506,33 @@ def test_sums_over_an_aberrated_pupil_are_those_of_rays(lens):
         own[found.places[:, 0], found.places[:, 1]] = covariance(light[:, None], alpha, *chosen)[0]
         errors.append(np.abs(own - rays + product).max())
     assert errors[0] < (3e-3 if lens == "Zernike" else 1e-2) < errors[1]
+
+
+def test_sums_over_displaced_layers_are_those_of_rays():
+    """Behind distortion, by 2048 points at most, 4e-3: steps of layers stay sharp.
+
+    1500 rays of the truth put an edge off by 1 / 300 of a blur's 6 samples, of a contrast of 0.25: 1e-3. The sum over
+    layers that are displaced first, with steps as wide as a sample, differs by more.
+    """
+    layers = SCENES["on both sides"][0]
+    sheets = [
+        Sheet(one.light * one.alpha, one.alpha, one.confusion / 2 + 0 * ONE) for one in layers
+    ]
+    places = source(*np.indices((SIZE, SIZE)).astype(float))
+    moved = [one.at(*places, "edge") for one in sheets]
+    rays, product = rays_and_product(layers, Pupil(), 1e-9, 1, 2000, source=source)
+    errors = []
+    for used, of_sum in ((Displaced(sheets, (0, 0), *places), sheets), (None, moved)):
+        found = find_occlusion(moved, Pupil(), "edge", 1e-4, displaced=used)
+        light, alpha = (
+            np.stack([getattr(one, key) for one in of_sum]) for key in ("light", "alpha")
+        )
+        chosen = found.places, found.members, found.radii, found.points, "edge"
+        change = covariance(light[:, None], alpha, *chosen, maps=found.maps)[0]
+        own = np.zeros((SIZE, SIZE))
+        own[found.places[:, 0], found.places[:, 1]] = change
+        errors.append(np.abs(own - rays + product)[6:-6, 6:-6].max())
+    assert errors[0] < 4e-3 < errors[1]
 
 
 @pytest.mark.parametrize("confusion", [-9.0, 9.0])

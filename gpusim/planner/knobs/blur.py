@@ -23,7 +23,7 @@ from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lens import open_lens
-from gpusim.optics.occlusion import SHARP, Bending, find_occlusion, hidden_light
+from gpusim.optics.occlusion import SHARP, Bending, Displaced, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
 from gpusim.planner.probes import SIDE, Probes
@@ -248,11 +248,16 @@ def _with_occlusion(question, depth, probes, placed, notes):
     box, sources, places = _around_edges(depth, nodes, question.size, bent)
     sheets = depth.in_brightness(brightness, sources)
     begin = np.array([one.start for one in box], np.int32)
-    settings = question.optics.pupil, border, least
+    settings, displaced = (question.optics.pupil, border, least), None
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy and SciPy let other threads run
         if nodes is not None:
+            at = tuple(one.start for one in sources)
+            is_cubic = placed is None or placed.method == "cubic"
+            displaced = Displaced(sheets, at, *places) if is_cubic else None
             sheets = list(pool.map(lambda sheet: sheet.at(*places, border), sheets))
-        finding = pool.submit(find_occlusion, sheets, *settings, bending=bending, begin=begin)
+        finding = pool.submit(
+            find_occlusion, sheets, *settings, bending=bending, begin=begin, displaced=displaced
+        )
         if not depth.sheets:
             hiding = pool.submit(hidden_light, sheets)
         known = probes() if question.tolerance is not None else None
