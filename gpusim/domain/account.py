@@ -107,6 +107,10 @@ class Bound:
         """Return the error of a cause that is `factor` times as strong."""
         return Bound(self.rms * factor, self.p999_sigma * factor, self.max_sigma * factor)
 
+    def largest(self, other: "Bound") -> "Bound":
+        """Return the larger of each figure of two errors."""
+        return Bound(*map(max, self.figures, other.figures))
+
     def ratio(self, tolerance: Tolerance) -> float:
         """Return error over tolerance for the figure closest to, or farthest beyond, its limit."""
         return self.nearest(tolerance)[0]

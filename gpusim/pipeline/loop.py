@@ -331,7 +331,11 @@ class Loop:
         return plan
 
     def keep_plan(self) -> Planned:
-        """Return the plan and its probes, for a loop that comes later."""
+        """Return the plan and its probes, for a loop that comes later.
+
+        Returns:
+            The plan, its probes, and the facts that `reuse` compares.
+        """
         kept, plan = self.before.planned, self.plan
         if plan.scene is self.scene:
             kept.facts = self._facts()

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gpusim.domain.account import Account
+from gpusim.domain.account import Account, Bound
 from gpusim.domain.scene import Scene
 from gpusim.optics.fusion import Surveyed, Watch
 from gpusim.planner.plan import Plan
@@ -44,7 +44,8 @@ class Probing:
     def _begin(self, plan):
         self._plan, self._scene, self._since = plan, None, 0
         self._zoom = 1.0 if plan is None else plan.scene.view.zoom  # largest of scenes that held
-        self._account: Account | None = None
+        self._account: Account | None = None  # of the last probes
+        self._worst: Account | None = None  # with the largest errors of all probes
         self._drift: float | None = None  # of the scene that was probed
         # largest numbers of the surveys of scenes whose probes held
         self._highest: tuple[float, ...] | None = None
@@ -106,6 +107,14 @@ class Probing:
         self.count += 1
         # not a power of TIMES, so scenes that alternate cannot keep the same step
         self._interval, self._since = TIMES * self._interval + 1, 0
+        worst = {} if self._worst is None else self._worst.at(account.seconds).bounds
+        self._worst = replace(
+            account,
+            bounds={
+                name: account.bounds.get(name, Bound()).largest(worst.get(name, Bound()))
+                for name in {**worst, **account.bounds}
+            },
+        )
         self._account, self._name, self._awaited, self._drift = account, scene.name, scene, None
         self._zoom = max(self._zoom, scene.view.zoom)
         if not holds:
@@ -143,16 +152,21 @@ class Probing:
             self._remember(scene, plan.count + more)
 
     def annotate(self, plan: Plan, scene: Scene, drift: float | None) -> Plan:
-        """Return the plan with errors predicted for another scene, from the last probes and later surveys."""
-        account, name = self._account, self._name
-        if account is None or plan is not self._plan:
+        """Return the plan with errors predicted for another scene, from probes and later surveys.
+
+        A scene that was not probed has the largest errors of all that were; those that the survey sees are scaled.
+        """
+        account, worst, name = self._account, self._worst, self._name
+        if account is None or worst is None or plan is not self._plan:
             return plan.of(scene, drift)
         bounds, words = account.bounds, "from this scene"
         if self._since:
             words = f"from {name}, {self._since} scene{'s' * (self._since > 1)} ago"
-            if drift and self._drift and plan.watched in bounds:
+            own = bounds.get(plan.watched)
+            bounds = worst.bounds
+            if drift and self._drift and own is not None:
                 words += ", scaled by the survey of this scene"
-                bounds = bounds | {plan.watched: bounds[plan.watched].times(drift / self._drift)}
+                bounds = bounds | {plan.watched: own.times(drift / self._drift)}
         return replace(plan.of(scene, None, replace(account, bounds=bounds)), probed=words)
 
 
