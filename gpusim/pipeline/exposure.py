@@ -586,9 +586,9 @@ class _Shot(Parts):
         lens = getattr(camera.optics.distortion, "notes", ())
         notes += dict.fromkeys((*plan.scene.notes, *camera.notes, *camera.sensor.notes, *lens))
         if plan.planned_for:
+            own = f": all predicted errors except {plan.watched} are for that scene"
             notes.append(
-                f"planned for {plan.planned_for}, a scene of the same kind: all predicted errors except "
-                f"{plan.watched} are for that scene"
+                f"planned for {plan.planned_for}, a scene of the same kind{'' if plan.probed else own}"
             )
         if plan.given_of:
             notes.append(

@@ -76,7 +76,7 @@ class Plan:
         bytes_needed: Device memory of a frame [byte]; 0 if the plan was made without a device.
         single: Whether the account is for float32.
         planned_for: Name of the scene of the same kind that the plan was made for, if it is another
-            one. Most predicted errors are for that scene.
+            one. Without probes most predicted errors are for that scene.
         probed: Scene whose probes gave the other errors, or the reason for a new plan.
         is_draft: Whether the lens is another than the account's, see `gpusim.planner.draft`.
         given_of: Name of the scene that the plan was made for, if the caller gave the plan for
