@@ -21,6 +21,7 @@ import numpy as np
 
 from gpusim.backends.device import kernel_folder
 from gpusim.domain.errors import DeviceError
+from gpusim.domain.progress import announced
 
 COPY_BYTES = 2**26  # larger than most last-level caches
 TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
@@ -145,8 +146,9 @@ def devices(refresh: bool = False) -> list[dict]:
     entries = None if refresh or cache is None else _read_cache(cache)
     if entries:
         return entries
-    names, failure = _names()
-    entries = [_try(name) for name in names]
+    with announced("trying devices"):
+        names, failure = _names()
+        entries = [_try(name) for name in names]
     if failure:
         entries.insert(1, EMPTY | {"name": "opencl", "error": failure})
     if cache is not None and any(

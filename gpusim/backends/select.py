@@ -8,7 +8,6 @@ from typing import Any
 from gpusim.backends.device import Device, refuse_fork
 from gpusim.backends.driver import cl_devices
 from gpusim.backends.opencl import OpenCLDevice
-from gpusim.backends.warp import WarpDevice
 from gpusim.domain.errors import DeviceError
 
 _lock = threading.RLock()  # a device is opened once, also by several threads
@@ -114,6 +113,8 @@ def _open(name):
         return _best(name)
     backend, _, which = name.partition(":")
     if backend == "warp" and which:
+        from gpusim.backends.warp import WarpDevice
+
         return WarpDevice(which, name)
     if backend == "opencl" and which:
         devices = cl_devices()

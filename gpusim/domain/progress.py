@@ -3,12 +3,21 @@
 `with announced("compiling sensor.noise"):` announces work; `with listening(listener):` hears of it.
 """
 
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-# Called with the words as work begins, and with None as it ends, by the thread that works
+# Called by the thread that works: with the words as work begins; as it ends, with those of the work
+# around it, None if there is none
 Listener = Callable[[str | None], None]
 _listeners: list[Listener] = []
+
+
+class _Own(threading.local):
+    words: str | None = None  # of the work of this thread
+
+
+_own = _Own()
 
 
 @contextmanager
@@ -24,10 +33,15 @@ def listening(listener: Listener) -> Iterator[None]:
 @contextmanager
 def announced(words: str) -> Iterator[None]:
     """Announce the work of the block. words: what is done, such as "compiling sensor.noise"."""
-    for listener in tuple(_listeners):
-        listener(words)
+    outer = _own.words
+    _notify(words)
     try:
         yield
     finally:
-        for listener in tuple(_listeners):
-            listener(None)
+        _notify(outer)
+
+
+def _notify(words):
+    _own.words = words
+    for listener in tuple(_listeners):
+        listener(words)

@@ -9,6 +9,7 @@ import numpy as np
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, NotMet, OutOfRange, format_value
+from gpusim.domain.progress import announced
 from gpusim.domain.scene import Scene, View, checked_scene
 from gpusim.optics.depth import DepthPlan, checked_confusion
 from gpusim.optics.lengths import LENGTHS
@@ -66,17 +67,18 @@ def make_plan(
             "scene size", "x".join(map(str, scene.samples[::-1])), f"up to {most} samples each way"
         )
     simulator.readout.output_shape(scene.shape)
-    made = plan(
-        scene,
-        simulator.camera,
-        tolerance=simulator.tolerance,
-        facts=facts,
-        exposure_time=exposure_time,
-        single=device.kind != "numpy",
-        on_gpu=device.is_gpu,
-        **_plan_options(simulator),
-        least=least,
-    )
+    with announced("planning"):
+        made = plan(
+            scene,
+            simulator.camera,
+            tolerance=simulator.tolerance,
+            facts=facts,
+            exposure_time=exposure_time,
+            single=device.kind != "numpy",
+            on_gpu=device.is_gpu,
+            **_plan_options(simulator),
+            least=least,
+        )
     _require_met(simulator, made)
     needed = require_memory(made, simulator)
     return replace(made, bytes_needed=needed, left_out=[*made.left_out, *simulator.left_out])

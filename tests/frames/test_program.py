@@ -297,7 +297,7 @@ def test_no_command_minds_what_its_streams_are(tmp_path):
     done = program(json.dumps(works), code=EVERY_COMMAND, cwd=tmp_path)
     found = json.loads(done.stdout.splitlines()[-1])
     assert (
-        len({arguments[0] for arguments, *_ in found if arguments[1:] == ["--help"]}) == 10
+        len({arguments[0] for arguments, *_ in found if arguments[1:] == ["--help"]}) == 11
         and not done.stderr
     )
     for arguments, out, err, status, output, message in found:

@@ -28,6 +28,13 @@ def test_listeners_hear_of_work_that_fails_too():
     assert other == ["compiling one", None]
 
 
+def test_work_inside_other_work_gives_way_to_it():
+    heard = []
+    with listening(heard.append), announced("planning"), announced("compiling"):
+        pass
+    assert heard == ["planning", "compiling", "planning", None]
+
+
 def test_long_work_has_a_line_that_goes(monkeypatch):
     monkeypatch.setattr(progress, "WAIT", 0.01)
     monkeypatch.setattr(sys, "stderr", Terminal())
