@@ -26,6 +26,7 @@ from gpusim.domain.interpolation import stencil
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.stored import stored
 from gpusim.optics.edges import MOST_LAYERS, SAMPLES, Edges, find_changes, span_of
 from gpusim.optics.mixed import Mixed, find_mixed
 from gpusim.optics.occlusion import SHARP, Occlusion, Sheet, usual_light
@@ -685,6 +686,7 @@ def _derivative(order, confusion, q):
 
 
 @lru_cache(maxsize=8)
+@stored
 def _derivative_table(order, q):
     known = np.linspace(np.log(1.05), np.log(1 + 512), 64)
     f = (np.arange(20) + 0.5) / 40
