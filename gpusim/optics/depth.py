@@ -9,9 +9,11 @@ Kosloff, "Algorithms for Rendering Depth of Field Effects in Computer Graphics",
 placed where they remove the most predicted error.
 """
 
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 import scipy
@@ -24,6 +26,7 @@ from gpusim.domain.interpolation import stencil
 from gpusim.domain.optics import Optics
 from gpusim.domain.scene import Layer, Scene
 from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.stored import stored
 from gpusim.optics.edges import MOST_LAYERS, SAMPLES, Edges, find_changes, span_of
 from gpusim.optics.mixed import Mixed, find_mixed
 from gpusim.optics.occlusion import SHARP, Occlusion, Sheet, usual_light
@@ -112,11 +115,6 @@ class DepthPlan:
     def reach(self) -> float:
         """Radius of the largest circle of confusion [pixel]."""
         return float(np.abs(self.kernels).max() / 2)
-
-    def surfaces(self):
-        """Yield the coverage and the circles of confusion of each layer, see `surface`."""
-        for layer in range(self.layers):
-            yield self.surface(layer)
 
     def surface(self, layer: int):
         """Return the coverage and the circles of confusion of a layer, both of shape (rows, cols).
@@ -224,8 +222,10 @@ class DepthPlan:
             box: Rows and columns that are wanted, with all edges of layers, by default all.
         """
         found: dict[int, Sheet] = {}
-        for layer, group in enumerate(self.groups):
-            sheet = self._in_brightness(layer, brightness, box)
+        make = partial(self._in_brightness, brightness=brightness, box=box)
+        with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets other threads run
+            sheets = list(pool.map(make, range(self.layers)))
+        for sheet, group in zip(sheets, self.groups, strict=True):
             if group in found:
                 other = found[group]
                 sheet = replace(
@@ -686,6 +686,7 @@ def _derivative(order, confusion, q):
 
 
 @lru_cache(maxsize=8)
+@stored
 def _derivative_table(order, q):
     known = np.linspace(np.log(1.05), np.log(1 + 512), 64)
     f = (np.arange(20) + 0.5) / 40

@@ -7,11 +7,15 @@ differ. `choose_terms` finds the terms, the stage `optics.expand` their values a
 `optics.field` sums all this.
 """
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
 from gpusim.domain.interpolation import node_weights
+from gpusim.optics.depth import DepthPlan
 from gpusim.optics.kernel_space import MOST_DEGREE, KernelSpace, chebyshev, chebyshev_solver
 from gpusim.optics.placed import Placed
 
@@ -74,22 +78,23 @@ def choose_terms(
     )
 
 
-def expansion_error(made: KernelSpace, surfaces):
-    """Return relative errors of the terms of layers: RMS and largest of a natural scene, and of flat fields.
+def expansion_error(made: KernelSpace, depth: DepthPlan):
+    """Return relative errors of the terms of layers: RMS and largest of a natural scene, and of flat fields."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets other threads run
+        found = list(pool.map(partial(_layer_error, made, depth), range(depth.layers)))
+    worst, most, *even = map(max, zip((0.0, 0.0, 0.0, 0.0), *found, strict=True))
+    return (float(np.sqrt(worst)), float(np.sqrt(most))), tuple(even)
 
-    surfaces: coverage and circles of confusion of each layer, pairs of (rows, cols).
-    """
-    worst, most, even = 0.0, 0.0, [(0.0, 0.0)]
-    for cover, confusion in surfaces:
-        middle, half, is_there = _spans(made.edges, confusion, cover)
-        if is_there.any():
-            errors = [
-                _polynomials(made, values, middle, half, is_there)[1] for values in made.values
-            ]
-            each = np.sum(errors, axis=0)[is_there]
-            worst, most = max(worst, float(each.mean())), max(most, float(each.max()))
-            even.append(_even_error(made, middle, half, is_there))
-    return (float(np.sqrt(worst)), float(np.sqrt(most))), tuple(map(max, zip(*even, strict=True)))
+
+def _layer_error(made, depth, layer):
+    """Return mean and largest square of the errors of a layer's terms; RMS and largest error of its flat fields."""
+    cover, confusion = depth.surface(layer)
+    middle, half, is_there = _spans(made.edges, confusion, cover)
+    if not is_there.any():
+        return 0.0, 0.0, 0.0, 0.0
+    errors = [_polynomials(made, values, middle, half, is_there)[1] for values in made.values]
+    each = np.sum(errors, axis=0)[is_there]
+    return float(each.mean()), float(each.max()), *_even_error(made, middle, half, is_there)
 
 
 def _even_error(made, middle, half, is_there):

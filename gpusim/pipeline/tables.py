@@ -323,7 +323,8 @@ def tables_in_focus(made_of, period, weights, flat, device) -> tuple:
     cover = integrate(bands, device.array((white / flat).astype(np.float32)), device=device)
     optics, pitch, *_, q = made_of
     lens = open_lens(optics, pitch)
-    only = np.stack([_lens_only(lens, mean, period) for mean in white @ q])
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        only = np.stack(list(pool.map(lambda mean: _lens_only(lens, mean, period), white @ q)))
     return (
         device.reshape(cover, (len(white), 1, *bands.shape[1:])),
         device.array(only[:, None].astype(np.float32)),

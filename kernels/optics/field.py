@@ -238,6 +238,9 @@ def _on_host(device, it):
     tables = tables.reshape(-1, own, period[0], half)
     if it.index.ndim == 3:
         by_kernel = tables.reshape(len(tables), -1).view(np.float32)
+        # of one size: fresh memory would take as long as the product
+        most = max(HOST_BATCH // by_kernel[0].nbytes, it.index.shape[1])
+        room = device.numpy(device.empty((most, by_kernel.shape[1])))
 
     def blur(job):
         at, t, used, chosen = job
@@ -283,7 +286,7 @@ def _on_host(device, it):
         sums = scipy.fft.ifft(sums, axis=1, overwrite_x=True)
         out[:, at] = scipy.fft.irfft(sums, period[1])
 
-    first, threads, room = 0, os.cpu_count() or 1, np.empty((0, 0), np.float32)
+    first, threads = 0, os.cpu_count() or 1
     with device.host_work(), ThreadPoolExecutor(threads) as pool:
         for used, members in it.groups:
             batch = max(HOST_BATCH // (len(used) * tables[0].nbytes), 1)
@@ -292,9 +295,7 @@ def _on_host(device, it):
                     chosen = tables[it.index[some]]
                 else:
                     weights = it.index[some][:, used].reshape(-1, len(tables))
-                    if len(weights) > len(room):
-                        room = np.empty((len(weights), by_kernel.shape[1]), np.float32)
-                    combined = room[: len(weights)]  # fresh memory takes as long as the product
+                    combined = room[: len(weights)]
                     ends = np.linspace(0, by_kernel.shape[1], threads + 1).astype(int)
                     pieces = [slice(a, b) for a, b in itertools.pairwise(ends)]
                     parts = [[whole[:, one] for one in pieces] for whole in (by_kernel, combined)]

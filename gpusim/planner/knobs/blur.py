@@ -304,7 +304,13 @@ def _bending_of(question):
         return None
     middle = (np.array(question.size) - 1) / 2 + lens.axis
     box = (-1, -1), tuple(question.size)
-    return Bending(question.optics, question.pitch, tuple(middle), question.corner, box)
+    settings = question.optics, question.pitch, tuple(middle), question.corner, box
+    return question.cache("bending", _make_bending, *settings)
+
+
+def _make_bending(*settings):
+    """Return a `Bending`, which finds its terms once."""
+    return Bending(*settings)
 
 
 def _around_edges(depth, nodes, size, bent=0.0):

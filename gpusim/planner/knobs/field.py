@@ -111,7 +111,7 @@ def varying_planes(
             depth.kernels,
             len(question.weights),
         )
-        own_error, bends = expansion_error(space, depth.surfaces())
+        own_error, bends = expansion_error(space, depth)
         wrong = (
             uneven * float(np.hypot(space.error[0], own_error[0])),
             uneven * float(np.hypot(space.error[1], own_error[1])),
