@@ -231,7 +231,9 @@ class _Groups:
         Its change is of rays, and is blurred by diffraction.
         """
         found, device = self._depth.occlusion, self._device
-        places, members, radii, weights, maps = found.within(self._margin, composed.shape[1:])
+        places, members, radii, weights, maps, slopes = found.within(
+            self._margin, composed.shape[1:]
+        )
         if not len(places):
             return composed
         moved = tables.displacement(self._plan)
@@ -250,6 +252,7 @@ class _Groups:
             weights=weights,
             bends=found.bends,
             maps=maps,
+            slopes=slopes,
             device=device,
         )
         _, smooth = tables.in_focus(self._plan)

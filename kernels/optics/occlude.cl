@@ -20,7 +20,8 @@ __kernel void begin(
 }
 
 // One place in one channel per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS and BENDS come
-// from the host and unroll the loops. MAPS: whether the layers' light is displaced.
+// from the host and unroll the loops. MAPS: whether the layers' light is displaced; SLOPES: whether displacements and
+// radii change from place to place.
 __kernel void occlude(
     // in:
     __global const float *restrict base,    // [channels][rows][cols]
@@ -33,6 +34,7 @@ __kernel void occlude(
     __global const float *restrict weights, // [BENDS][count]
     __global const float *restrict bends,   // [BENDS][points_][2]
     __global const float *restrict maps,    // [9][count], see occlude.py
+    __global const float *restrict slopes,  // [BENDS + SHEETS][2][count]
     // out:
     __global float *restrict out,           // [channels][rows][cols]
     // params:
@@ -61,21 +63,44 @@ __kernel void occlude(
     float map[9];
 #pragma unroll
     for (int k = 0; k < 9; ++k) map[k] = MAPS ? maps[k * count + e] : 0.0f;
-    float exact = 0.0f;
+    float slope_y[BENDS + SHEETS], slope_x[BENDS + SHEETS];
+#pragma unroll
+    for (int k = 0; k < BENDS + SHEETS; ++k) {
+        slope_y[k] = SLOPES ? slopes[2 * k * count + e] : 0.0f;
+        slope_x[k] = SLOPES ? slopes[(2 * k + 1) * count + e] : 0.0f;
+    }
+    float exact = 0.0f, whole = 0.0f;
     for (int m = 0; m < points_; ++m) {
         const float v = points[3 * m], u = points[3 * m + 1], share = points[3 * m + 2];
-        float through = 1.0f, down = 0.0f, across = 0.0f;
+        float through = 1.0f, down = 0.0f, across = 0.0f, spread = 1.0f;
+        float yy = 0.0f, yx = 0.0f, xy = 0.0f, xx = 0.0f; // derivatives of the displacement, of rows along columns: yx
 #pragma unroll
         for (int k = 0; k < BENDS; ++k) {
             down += bent[k] * bends[2 * (k * points_ + m)];
             across += bent[k] * bends[2 * (k * points_ + m) + 1];
+            if (SLOPES) {
+                yy += slope_y[k] * bends[2 * (k * points_ + m)];
+                yx += slope_x[k] * bends[2 * (k * points_ + m)];
+                xy += slope_y[k] * bends[2 * (k * points_ + m) + 1];
+                xx += slope_x[k] * bends[2 * (k * points_ + m) + 1];
+            }
         }
+        if (SLOPES) spread = 1.0f / ((1.0f - yy) * (1.0f - xx) - yx * xy);
+        whole += share * spread;
 #pragma unroll
         for (int s = 0; s < SHEETS; ++s) {
             if (there[s] == 0.0f) continue;
             float seen_y = BENDS ? radius[s] * v + down : radius[s] * v;
             float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
-            float flux = there[s];
+            float flux = there[s] * spread;
+            if (SLOPES) {  // the place x + t that is seen has the displacement: t = d + d' t
+                const float tilt_y = slope_y[BENDS + s], tilt_x = slope_x[BENDS + s];
+                const float a = 1.0f - (yy + v * tilt_y), b = yx + v * tilt_x;
+                const float c_ = xy + u * tilt_y, d = 1.0f - (xx + u * tilt_x);
+                const float scale = 1.0f / (a * d - b * c_), to_y = (d * seen_y + b * seen_x) * scale;
+                seen_x = (c_ * seen_y + a * seen_x) * scale;
+                seen_y = to_y;
+            }
             if (MAPS) {
                 const float to_y = map[0] + (map[2] * seen_y + map[3] * seen_x);
                 const float to_x = map[1] + (map[4] * seen_y + map[5] * seen_x);
@@ -91,14 +116,14 @@ __kernel void occlude(
             exact += share * (through * own);
             through *= 1.0f - covered;
             mean_light[s] += share * own;
-            mean_alpha[s] += share * covered;
+            mean_alpha[s] += SLOPES ? share * spread * covered : share * covered;
         }
     }
     float product = 0.0f, before = 1.0f;
 #pragma unroll
     for (int s = 0; s < SHEETS; ++s) {
         product += before * mean_light[s];
-        before *= 1.0f - mean_alpha[s];
+        before *= 1.0f - (SLOPES ? mean_alpha[s] / whole : mean_alpha[s]);
     }
     const size_t target = ((size_t)c * rows + y - margin) * cols + x - margin;
     const float before_it = base[target];

@@ -30,13 +30,14 @@ def begin(
 
 
 @cache
-def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0):
+def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0, SLOPES=0):
     """Return the kernel of this name; constants as in OpenCL."""
     if kernel == "begin":
         return begin
     numbers, integers = (wp.types.vector(length=SHEETS, dtype=kind) for kind in (float, int))
     terms = wp.types.vector(length=BENDS + 1, dtype=float)
     nine = wp.types.vector(length=9, dtype=float)
+    rates = wp.types.vector(length=BENDS + SHEETS, dtype=float)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def occlude(
@@ -51,6 +52,7 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0):
         weights: wp.array2d[float],
         bends: wp.array3d[float],
         maps: wp.array2d[float],
+        slopes: wp.array3d[float],
         # out:
         out: wp.array3d[float],
         # params:
@@ -85,7 +87,14 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0):
         if wp.static(MAPS != 0):
             for k in range(9):
                 at[k] = maps[k, e]
+        slope_y = rates()
+        slope_x = rates()
+        if wp.static(SLOPES != 0):
+            for k in range(wp.static(BENDS + SHEETS)):
+                slope_y[k] = slopes[k, 0, e]
+                slope_x[k] = slopes[k, 1, e]
         exact = float(0.0)
+        whole = float(0.0)
         for m in range(points_):
             v = points[m, 0]
             u = points[m, 1]
@@ -93,13 +102,39 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0):
             through = float(1.0)
             down = float(0.0)
             across = float(0.0)
+            spread = float(1.0)
+            # derivatives of the displacement, of rows along columns: yx
+            yy = float(0.0)
+            yx = float(0.0)
+            xy = float(0.0)
+            xx = float(0.0)
             for k in range(wp.static(BENDS)):
                 down += bent[k] * bends[k, m, 0]
                 across += bent[k] * bends[k, m, 1]
+                if wp.static(SLOPES != 0):
+                    yy += slope_y[k] * bends[k, m, 0]
+                    yx += slope_x[k] * bends[k, m, 0]
+                    xy += slope_y[k] * bends[k, m, 1]
+                    xx += slope_x[k] * bends[k, m, 1]
+            if wp.static(SLOPES != 0):
+                spread = 1.0 / ((1.0 - yy) * (1.0 - xx) - yx * xy)
+            whole += share * spread
             for s in range(wp.static(SHEETS)):
                 seen_y = radius[s] * v + down
                 seen_x = radius[s] * u + across
-                flux = there[s]
+                flux = there[s] * spread
+                if wp.static(SLOPES != 0):
+                    # the place x + t that is seen has the displacement: t = d + d' t
+                    tilt_y = slope_y[wp.static(BENDS) + s]
+                    tilt_x = slope_x[wp.static(BENDS) + s]
+                    first = 1.0 - (yy + v * tilt_y)
+                    second = yx + v * tilt_x
+                    third = xy + u * tilt_y
+                    fourth = 1.0 - (xx + u * tilt_x)
+                    scale = 1.0 / (first * fourth - second * third)
+                    along_y = (fourth * seen_y + second * seen_x) * scale
+                    seen_x = (third * seen_y + first * seen_x) * scale
+                    seen_y = along_y
                 if wp.static(MAPS != 0):
                     flux *= at[6] + (at[7] * seen_y + at[8] * seen_x)
                     there_y = at[0] + (at[2] * seen_y + at[3] * seen_x)
@@ -117,12 +152,15 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0):
                 exact += share * (through * own)
                 through *= 1.0 - covered
                 mean_light[s] += share * own
-                mean_alpha[s] += share * covered
+                mean_alpha[s] += share * spread * covered
         product = float(0.0)
         before = float(1.0)
         for s in range(wp.static(SHEETS)):
             product += before * mean_light[s]
-            before *= 1.0 - mean_alpha[s]
+            if wp.static(SLOPES != 0):
+                before *= 1.0 - mean_alpha[s] / whole
+            else:
+                before *= 1.0 - mean_alpha[s]
         at_y = places[e, 0]
         at_x = places[e, 1]
         before_it = base[c, at_y, at_x]

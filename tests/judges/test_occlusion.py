@@ -102,25 +102,24 @@ def rays_and_product(
     size = layers[0].light.shape[0]
     at = (np.arange(-fine * 8, fine * (size + 8)) + 0.5) / fine - 0.5  # eight samples around
     y, x = np.meshgrid(at, at, indexing="ij")
-    near = [np.clip(np.rint(one).astype(int), 0, size - 1) for one in (y, x)]
     seen = np.zeros((1, *y.shape))
     lights, alphas, even = (np.zeros((len(layers), *y.shape)) for _ in range(3))
-    if source is not None:
-        near = [np.clip(np.rint(one).astype(int), 0, size - 1) for one in source(y, x)[:2]]
-    radii = [
-        np.broadcast_to(layer.confusion, layer.light.shape)[near[0], near[1]] / 2
-        for layer in layers
-    ]
+    varies = aberration is not None and not is_uniform
     rays, counts = distinct(rays_of(pupil, count), layers, fine, aberration, is_uniform, source)
     for (v, u), weight in zip(rays, counts / counts.sum(), strict=True):
         through = np.ones(y.shape)
-        for k, (layer, radius) in enumerate(zip(layers, radii, strict=True)):
-            seen_at, spread = (y + radius * v, x + radius * u), 1.0
-            if aberration is not None:  # of the place in the field that is seen
-                for _ in range(1 if is_uniform else 4):
-                    apart = aberration(v, u, *seen_at)
-                    seen_at = y + radius * v + apart[0], x + radius * u + apart[1]
-                spread = 1.0 if is_uniform else thinned(aberration, v, u, *seen_at)
+        for k, layer in enumerate(layers):
+            seen_at, spread = (y, x), 1.0
+            # of the place in the field that is seen
+            for _ in range(4 if varies or np.ndim(layer.confusion) else 1):
+                radius = layer.confusion / 2
+                if np.ndim(radius):
+                    at_home = seen_at if source is None else source(*seen_at)[:2]
+                    radius = map_coordinates(radius, at_home, order=1, mode="nearest")
+                apart = (0.0, 0.0) if aberration is None else aberration(v, u, *seen_at)
+                seen_at = y + radius * v + apart[0], x + radius * u + apart[1]
+            if varies:
+                spread = thinned(aberration, v, u, *seen_at)
             flux = 1.0
             if source is not None:
                 *seen_at, flux = source(*seen_at)
