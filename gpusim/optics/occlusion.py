@@ -18,6 +18,7 @@ from gpusim.domain.pupil import Pupil
 FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
 COUNTS = (128, 256, 512, 1024, 2048)
+MORE_COUNTS = (4096, 8192)  # of layers that a lens displaces, each place its own way
 MOST_CELLS = 4096
 MANY = 2**17  # points of the pupil whose cells are counted
 USUAL = 0.999  # quantile of the light of a layer that is taken for its brightest
@@ -411,7 +412,7 @@ def find_occlusion(
     radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
     radii = radius[kinds, places[:, 0], places[:, 1]]
     radii = np.where(members >= 0, radii, 0).astype(np.float32)
-    tilts = _find_tilts(sheets, members, places, displaced)
+    tilts, left = _find_tilts(sheets, members, places, displaced), 0.0
     random = np.random.default_rng(seed)
     some = random.permutation(len(places))[:SAMPLED]
     tried = places[some], members[:, some], radii[:, some]
@@ -435,6 +436,13 @@ def find_occlusion(
         slopes = slopes_at(tried[0] if at is None else at, tilts[..., some])
         return covariance(light, alpha, *tried, points, border, weights, bends, maps, slopes)[0]
 
+    if tilts.any():  # where they change little, the sum is cheaper without
+        few = pupil_points(pupil, COUNTS[1])
+        wrong, tilted = values(few), tilts
+        tilts = np.zeros_like(tilts)
+        left = float(np.quantile(np.abs(values(few) - wrong), MOST_TRIED))
+        if left > least:
+            tilts, left = tilted, 0.0
     distinct = np.unique(radii[members >= 0])
     cells = None
     if len(distinct) <= len(sheets) and displaced is None:
@@ -444,6 +452,8 @@ def find_occlusion(
             cells = bent_cells(pupil, distinct, bending)
     if cells is not None:
         points, changed, numeric = cells, values(cells), 0.0
+    elif displaced is not None or slopes_at(*tried[:1], tilts[..., some]) is not None:
+        points, changed, numeric = _double_points(pupil, values, 2 * least)
     else:
         points = pupil_points(pupil, COUNTS[-1])
         changed = values(points)
@@ -463,12 +473,30 @@ def find_occlusion(
     if displaced is not None:
         maps = displaced.in_frame(places, begin)
         numeric += _linear_error(displaced, values, points, changed, tried)
-    error[places[:, 0], places[:, 1]] = numeric
+    error[places[:, 0], places[:, 1]] = numeric + left
     seen = np.where(change > least, change, 0)
     bound = _size(change[tried[0][:, 0], tried[0][:, 1]])
     seen *= _size(changed) / bound
     chosen = places, members, radii, points.astype(np.float32), weights, bends, maps, slopes
     return Occlusion(*chosen, error, seen)
+
+
+def _double_points(pupil, values, most):
+    """Return as many points of a pupil as serve, what they give, and their error: at most `most` at nearly all places.
+
+    Steps that are not between the same samples everywhere take many.
+    """
+    points, error = pupil_points(pupil, COUNTS[0]), np.inf
+    found = values(points)
+    for count in (*COUNTS[1:], *MORE_COUNTS):
+        more = pupil_points(pupil, count)
+        better = values(more)
+        # errors fall as one over the number of points or faster
+        error = float(np.quantile(np.abs(better - found), MOST_TRIED))
+        if error <= most:
+            return points, better, error
+        points, found = more, better
+    return points, found, error / 2
 
 
 def _bending_error(bending, values, points, changed, tried):
