@@ -19,7 +19,7 @@ __kernel void begin(
     out[at] = change ? 0.0f : base[at];
 }
 
-// One place in one channel per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS and BENDS come
+// One place in EACH channels per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS and BENDS come
 // from the host and unroll the loops. MAPS: whether the layers' light is displaced; SLOPES: whether displacements and
 // radii change from place to place.
 __kernel void occlude(
@@ -43,10 +43,10 @@ __kernel void occlude(
     const int points_, const int count, const int rows, const int cols, const int channels, const int high,
     const int wide)
 {
-    const int e = get_global_id(0), c = get_global_id(1);
+    const int e = get_global_id(0), c = get_global_id(1) * EACH;
     GUARD(e >= count || c >= channels)
     const int y = places[2 * e] + margin, x = places[2 * e + 1] + margin;
-    float mean_light[SHEETS], mean_alpha[SHEETS], radius[SHEETS], there[SHEETS];
+    float mean_light[SHEETS * EACH], mean_alpha[SHEETS], radius[SHEETS], there[SHEETS];
     size_t light[SHEETS], alpha[SHEETS];
 #pragma unroll
     for (int s = 0; s < SHEETS; ++s) {
@@ -55,7 +55,9 @@ __kernel void occlude(
         radius[s] = radii[s * count + e];
         alpha[s] = (size_t)max(k, 0) * high * wide;
         light[s] = ((size_t)max(k, 0) * channels + c) * high * wide;
-        mean_light[s] = mean_alpha[s] = 0.0f;
+        mean_alpha[s] = 0.0f;
+#pragma unroll
+        for (int n = 0; n < EACH; ++n) mean_light[s * EACH + n] = 0.0f;
     }
     float bent[BENDS + 1];
 #pragma unroll
@@ -69,7 +71,9 @@ __kernel void occlude(
         slope_y[k] = SLOPES ? slopes[2 * k * count + e] : 0.0f;
         slope_x[k] = SLOPES ? slopes[(2 * k + 1) * count + e] : 0.0f;
     }
-    float exact = 0.0f, whole = 0.0f;
+    float exact[EACH], whole = 0.0f;
+#pragma unroll
+    for (int n = 0; n < EACH; ++n) exact[n] = 0.0f;
     for (int m = 0; m < points_; ++m) {
         const float v = points[3 * m], u = points[3 * m + 1], share = points[3 * m + 2];
         float through = 1.0f, down = 0.0f, across = 0.0f, spread = 1.0f;
@@ -110,22 +114,28 @@ __kernel void occlude(
             }
             const int i = y + (int)floor(seen_y + 0.5f), j = x + (int)floor(seen_x + 0.5f);
             const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
-            float own = flux * lights[light[s] + at];
-            if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) own = 0.0f;
+            if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) flux = 0.0f;
             const float covered = there[s] * alphas[alpha[s] + at];
-            exact += share * (through * own);
+#pragma unroll
+            for (int n = 0; n < EACH; ++n) {
+                const float own = flux * lights[light[s] + (size_t)n * high * wide + at];
+                exact[n] += share * (through * own);
+                mean_light[s * EACH + n] += share * own;
+            }
             through *= 1.0f - covered;
-            mean_light[s] += share * own;
             mean_alpha[s] += SLOPES ? share * spread * covered : share * covered;
         }
     }
-    float product = 0.0f, before = 1.0f;
 #pragma unroll
-    for (int s = 0; s < SHEETS; ++s) {
-        product += before * mean_light[s];
-        before *= 1.0f - (SLOPES ? mean_alpha[s] / whole : mean_alpha[s]);
+    for (int n = 0; n < EACH; ++n) {
+        float product = 0.0f, before = 1.0f;
+#pragma unroll
+        for (int s = 0; s < SHEETS; ++s) {
+            product += before * mean_light[s * EACH + n];
+            before *= 1.0f - (SLOPES ? mean_alpha[s] / whole : mean_alpha[s]);
+        }
+        const size_t target = ((size_t)(c + n) * rows + y - margin) * cols + x - margin;
+        const float before_it = base[target];
+        out[target] = fmax(before_it + (exact[n] - product), 0.0f) - (change ? before_it : 0.0f);
     }
-    const size_t target = ((size_t)c * rows + y - margin) * cols + x - margin;
-    const float before_it = base[target];
-    out[target] = fmax(before_it + (exact - product), 0.0f) - (change ? before_it : 0.0f);
 }

@@ -37,6 +37,8 @@ from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Array, Case, stage
 
+MOST_AT_ONCE = 4
+
 
 @stage
 def occlude(
@@ -90,12 +92,15 @@ def occlude(
     terms = 0 if weights is None else weights.shape[0]
     if not terms:
         weights, bends = np.zeros((1, 1), np.float32), np.zeros((1, 1, 2), np.float32)
+    # channels at once share their rays' places; a GPU needs all work-items
+    each = channels if channels <= MOST_AT_ONCE and not device.is_gpu else 1
     defines = {
         "BORDER": BORDERS[border],
         "SHEETS": max(sheets, 1),
         "BENDS": terms,
         "MAPS": int(maps is not None),
         "SLOPES": int(slopes is not None),
+        "EACH": each,
     }
     maps = np.zeros((9, 1), np.float32) if maps is None else maps
     slopes = np.zeros((1, 2, 1), np.float32) if slopes is None else slopes
@@ -107,7 +112,7 @@ def occlude(
         of_rays = [device.array(one) for one in (radii, points, weights, bends, maps, slopes)]
         arrays = [base, lights, alphas, *chosen, *of_rays, out]
         sizes = [margin, int(change), points.shape[0], count, rows, cols, *lights.shape[1:]]
-        launch("occlude", (channels, count), *arrays, *sizes)
+        launch("occlude", (channels // each, count), *arrays, *sizes)
     return out
 
 

@@ -1,4 +1,4 @@
-"""One place in one channel per thread, all points of the pupil; gathers from a neighbourhood."""
+"""One place in EACH channels per thread, all points of the pupil; gathers from a neighbourhood."""
 
 # mypy: ignore-errors
 from functools import cache
@@ -30,11 +30,13 @@ def begin(
 
 
 @cache
-def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0, SLOPES=0):
+def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0, SLOPES=0, EACH=1):
     """Return the kernel of this name; constants as in OpenCL."""
     if kernel == "begin":
         return begin
     numbers, integers = (wp.types.vector(length=SHEETS, dtype=kind) for kind in (float, int))
+    per_channel = wp.types.vector(length=EACH, dtype=float)
+    both = wp.types.vector(length=SHEETS * EACH, dtype=float)
     terms = wp.types.vector(length=BENDS + 1, dtype=float)
     nine = wp.types.vector(length=9, dtype=float)
     rates = wp.types.vector(length=BENDS + SHEETS, dtype=float)
@@ -67,10 +69,11 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0, SLOPES=0):
         high: int,
         wide: int,
     ):
-        c, e = wp.tid()
+        first_channel, e = wp.tid()
+        first_channel *= wp.static(EACH)
         y = places[e, 0] + margin
         x = places[e, 1] + margin
-        mean_light = numbers()
+        mean_light = both()
         mean_alpha = numbers()
         radius = numbers()
         there = numbers()
@@ -93,7 +96,7 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0, SLOPES=0):
             for k in range(wp.static(BENDS + SHEETS)):
                 slope_y[k] = slopes[k, 0, e]
                 slope_x[k] = slopes[k, 1, e]
-        exact = float(0.0)
+        exact = per_channel()
         whole = float(0.0)
         for m in range(points_):
             v = points[m, 0]
@@ -144,27 +147,30 @@ def specialise(kernel, BORDER=1, SHEETS=1, BENDS=0, MAPS=0, SLOPES=0):
                 j = x + int(wp.floor(seen_x + 0.5))
                 to_y = inside(i, high, wp.static(BORDER))
                 to_x = inside(j, wide, wp.static(BORDER))
-                own = flux * lights[layer[s], c, to_y, to_x]
                 if wp.static(BORDER == 0):
                     if i < 0 or i >= high or j < 0 or j >= wide:
-                        own = 0.0
+                        flux = 0.0
                 covered = there[s] * alphas[layer[s], to_y, to_x]
-                exact += share * (through * own)
+                for n in range(wp.static(EACH)):
+                    own = flux * lights[layer[s], first_channel + n, to_y, to_x]
+                    exact[n] += share * (through * own)
+                    mean_light[s * wp.static(EACH) + n] += share * own
                 through *= 1.0 - covered
-                mean_light[s] += share * own
                 mean_alpha[s] += share * spread * covered
-        product = float(0.0)
-        before = float(1.0)
-        for s in range(wp.static(SHEETS)):
-            product += before * mean_light[s]
-            if wp.static(SLOPES != 0):
-                before *= 1.0 - mean_alpha[s] / whole
-            else:
-                before *= 1.0 - mean_alpha[s]
         at_y = places[e, 0]
         at_x = places[e, 1]
-        before_it = base[c, at_y, at_x]
-        taken = wp.where(change != 0, before_it, 0.0)
-        out[c, at_y, at_x] = wp.max(before_it + (exact - product), 0.0) - taken
+        for n in range(wp.static(EACH)):
+            product = float(0.0)
+            before = float(1.0)
+            for s in range(wp.static(SHEETS)):
+                product += before * mean_light[s * wp.static(EACH) + n]
+                if wp.static(SLOPES != 0):
+                    before *= 1.0 - mean_alpha[s] / whole
+                else:
+                    before *= 1.0 - mean_alpha[s]
+            before_it = base[first_channel + n, at_y, at_x]
+            taken = wp.where(change != 0, before_it, 0.0)
+            changed = wp.max(before_it + (exact[n] - product), 0.0)
+            out[first_channel + n, at_y, at_x] = changed - taken
 
     return occlude
