@@ -18,6 +18,7 @@ from gpusim.domain.pupil import Pupil
 FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
 COUNTS = (128, 256, 512, 1024, 2048)
+MORE_COUNTS = (4096, 8192)  # of layers that a lens displaces, each place its own way
 MOST_CELLS = 4096
 MANY = 2**17  # points of the pupil whose cells are counted
 USUAL = 0.999  # quantile of the light of a layer that is taken for its brightest
@@ -31,6 +32,7 @@ NODES = (
     17,
     33,
 )  # of the field, along rows and columns, between which displacements are cubic
+STEEP = 0.25  # change of a blur's radius from sample to sample, above which it jumps
 MOST_TRIED = 0.99  # quantile of these places that stands for all
 PROBED = 24  # places of the field, and
 PROBES = 256  # points of the pupil, at which displacements are compared
@@ -146,6 +148,15 @@ class Bending:
         nodes, weights, _, _ = self._made
         return self._interpolate(nodes, weights, np.asarray(places, float)).astype(np.float32)
 
+    def slopes(self, places: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the weights along rows and columns at places (E, 2), float32 (K, 2, E)."""
+        nodes, weights, parts, _ = self._made
+        if not self.is_local:
+            return np.zeros((len(parts), 2, len(places)), np.float32)
+        places = np.asarray(places, float)
+        along = [self._interpolate(nodes, weights, places, *step) for step in ((1, 0), (0, 1))]
+        return np.stack(along, axis=1).astype(np.float32)
+
     def of_points(self, points: np.ndarray) -> np.ndarray:
         """Return the displacement of each term at points (M, 3) of the pupil, float32 (K, M, 2) [sample]."""
         return self._bends(self._made[2], points).astype(np.float32)
@@ -181,12 +192,13 @@ class Bending:
         return scale * np.stack([down, across], axis=-1)
 
     @staticmethod
-    def _interpolate(nodes, weights, places):
-        """Weights (K, E) between nodes."""
+    def _interpolate(nodes, weights, places, dx=0, dy=0):
+        """Weights (K, E) between nodes, or their derivatives."""
         if len(nodes[0]) == 1:
             return np.repeat(weights[0, 0][:, None], len(places), axis=1)
         spline = scipy.interpolate.RectBivariateSpline
-        return np.stack([spline(*nodes, one).ev(*places.T) for one in np.moveaxis(weights, -1, 0)])
+        every = [spline(*nodes, one) for one in np.moveaxis(weights, -1, 0)]
+        return np.stack([one.ev(*places.T, dx=dx, dy=dy) for one in every])
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,8 +226,7 @@ class Displaced:
         """
         beside = np.clip(at + apart, 0, np.array(self.rows.shape) - 1)
         parts = [
-            [one[tuple(at.T)], *self._slopes(one, beside)]
-            for one in (self.rows, self.cols, self.flux)
+            [one[tuple(at.T)], *_slopes(one, beside)] for one in (self.rows, self.cols, self.flux)
         ]
         (down, across, flux), slopes = zip(*[(one[0], one[1:]) for one in parts], strict=True)
         found = [down - at[:, 0], across - at[:, 1], *slopes[0], *slopes[1], flux, *slopes[2]]
@@ -227,19 +238,19 @@ class Displaced:
         found[:2] += (np.array(self.begin) - begin)[:, None]
         return found
 
-    @staticmethod
-    def _slopes(values, at):
-        """Derivatives of values along rows and columns, at places."""
-        found = []
-        for axis, size in enumerate(values.shape):
-            ends = []
-            for step in (1, -1):
-                place = at.copy()
-                place[:, axis] = np.clip(at[:, axis] + step, 0, size - 1)
-                ends.append((values[tuple(place.T)], place[:, axis]))
-            (high, last), (low, first) = ends
-            found.append((high - low) / np.maximum(last - first, 1))
-        return found
+
+def _slopes(values, at):
+    """Return the derivatives of values along rows and columns, at places (E, 2)."""
+    found = []
+    for axis, size in enumerate(values.shape):
+        ends = []
+        for step in (1, -1):
+            place = at.copy()
+            place[:, axis] = np.clip(at[:, axis] + step, 0, size - 1)
+            ends.append((values[tuple(place.T)], place[:, axis]))
+        (high, last), (low, first) = ends
+        found.append((high - low) / np.maximum(last - first, 1))
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,6 +266,7 @@ class Occlusion:
         bends: Displacement by each term at each point, (rows, cols) [sample], float32 (K, M, 2).
         maps: Place and flux of the displaced light at each place, and their derivatives, float32 (9, E), see
             `optics.occlude`; None: nothing is displaced.
+        slopes: Derivatives of the weights and the radii, float32 (K + n, 2, E), see `optics.occlude`; None: they are 0.
         error: Bound of the changes that are not computed, and error of the sum over points where they are [brightness],
             shape (rows, cols).
         seen: Bound of what the sum changes where it is computed, scaled to the changes that were tried [brightness],
@@ -270,6 +282,7 @@ class Occlusion:
     weights: np.ndarray
     bends: np.ndarray
     maps: np.ndarray | None
+    slopes: np.ndarray | None
     error: np.ndarray
     seen: np.ndarray
     is_diffracted: bool = False
@@ -278,15 +291,19 @@ class Occlusion:
     @property
     def work(self) -> float:
         """Multiplications and additions of one channel."""
-        own = (12 if self.maps is None else 24) * len(self.members) + 4 * len(self.weights)
+        more = self.slopes is not None
+        own = (12 + 12 * (self.maps is not None) + 20 * more) * len(self.members)
+        own += (4 + 8 * more) * len(self.weights)
         return float(own * len(self.places) * len(self.points))
 
     def within(self, margin: int, shape: tuple[int, int]) -> tuple:
-        """Return places, members, radii, weights and maps in a frame of `shape` that begins `margin` samples inside."""
+        """Return places, members, radii, weights, maps and slopes in a frame of `shape`, `margin` samples inside."""
         at = self.places - margin
         some = ((at >= 0) & (at < shape)).all(axis=1)
         maps = None if self.maps is None else self.maps[:, some]
-        return at[some], self.members[:, some], self.radii[:, some], self.weights[:, some], maps
+        slopes = None if self.slopes is None else self.slopes[..., some]
+        every = self.members, self.radii, self.weights
+        return at[some], *(one[:, some] for one in every), maps, slopes
 
 
 def pupil_points(pupil: Pupil, count: int) -> np.ndarray:
@@ -389,12 +406,13 @@ def find_occlusion(
         nowhere, empty = np.empty((0, 2), np.int32), np.empty((0, 0), np.int32)
         points, unbent = np.empty((0, 3), np.float32), (no_weights, no_bends)
         radii = empty.astype(np.float32)
-        return Occlusion(nowhere, empty, radii, points, *unbent, None, error, np.zeros(shape))
+        return Occlusion(nowhere, empty, radii, points, *unbent, None, None, error, np.zeros(shape))
     members = _members(taking_part, places)
     kinds = np.maximum(members, 0)
     radius = np.stack([np.broadcast_to(one.radius, shape) for one in sheets])
     radii = radius[kinds, places[:, 0], places[:, 1]]
     radii = np.where(members >= 0, radii, 0).astype(np.float32)
+    tilts, left = _find_tilts(sheets, members, places, displaced), 0.0
     random = np.random.default_rng(seed)
     some = random.permutation(len(places))[:SAMPLED]
     tried = places[some], members[:, some], radii[:, some]
@@ -406,12 +424,25 @@ def find_occlusion(
     def weights_at(at):
         return bending.of_places(at + np.array(begin)) if bending else no_weights[:, : len(at)]
 
+    def slopes_at(at, tilts):
+        parts = [tilts] if bending is None else [bending.slopes(at + np.array(begin)), tilts]
+        found = np.concatenate(parts)
+        return found if found.any() else None
+
     def values(points, at=None, maps=None):
         bends = bending.of_points(points) if bending else no_bends
-        weights = weights_at(tried[0] if at is None else at)
+        weights = weights_at(tried[0])
         maps = maps_at(tried[0]) if maps is None else maps
-        return covariance(light, alpha, *tried, points, border, weights, bends, maps)[0]
+        slopes = slopes_at(tried[0] if at is None else at, tilts[..., some])
+        return covariance(light, alpha, *tried, points, border, weights, bends, maps, slopes)[0]
 
+    if tilts.any():  # where they change little, the sum is cheaper without
+        few = pupil_points(pupil, COUNTS[1])
+        wrong, tilted = values(few), tilts
+        tilts = np.zeros_like(tilts)
+        left = float(np.quantile(np.abs(values(few) - wrong), MOST_TRIED))
+        if left > least:
+            tilts, left = tilted, 0.0
     distinct = np.unique(radii[members >= 0])
     cells = None
     if len(distinct) <= len(sheets) and displaced is None:
@@ -421,6 +452,8 @@ def find_occlusion(
             cells = bent_cells(pupil, distinct, bending)
     if cells is not None:
         points, changed, numeric = cells, values(cells), 0.0
+    elif displaced is not None or slopes_at(*tried[:1], tilts[..., some]) is not None:
+        points, changed, numeric = _double_points(pupil, values, 2 * least)
     else:
         points = pupil_points(pupil, COUNTS[-1])
         changed = values(points)
@@ -432,7 +465,7 @@ def find_occlusion(
             if wrong <= 2 * least:
                 points, numeric = fewer, wrong
                 break
-    weights, bends = no_weights, no_bends
+    weights, bends, slopes = no_weights, no_bends, slopes_at(places, tilts)
     if bending is not None:
         weights, bends = weights_at(places), bending.of_points(points)
         numeric += _bending_error(bending, values, points, changed, tried)
@@ -440,30 +473,68 @@ def find_occlusion(
     if displaced is not None:
         maps = displaced.in_frame(places, begin)
         numeric += _linear_error(displaced, values, points, changed, tried)
-    error[places[:, 0], places[:, 1]] = numeric
+    error[places[:, 0], places[:, 1]] = numeric + left
     seen = np.where(change > least, change, 0)
     bound = _size(change[tried[0][:, 0], tried[0][:, 1]])
     seen *= _size(changed) / bound
-    chosen = places, members, radii, points.astype(np.float32), weights, bends, maps
+    chosen = places, members, radii, points.astype(np.float32), weights, bends, maps, slopes
     return Occlusion(*chosen, error, seen)
 
 
-def _bending_error(bending, values, points, changed, tried):
-    """Error of the displacements: between nodes, and of those at the place that sees instead of the place that is seen.
+def _double_points(pupil, values, most):
+    """Return as many points of a pupil as serve, what they give, and their error: at most `most` at nearly all places.
 
-    A source's light is thinned, too, where displacements change from place to place. values: see `find_occlusion`.
-    tried: places, members and radii.
+    Steps that are not between the same samples everywhere take many.
+    """
+    points, error = pupil_points(pupil, COUNTS[0]), np.inf
+    found = values(points)
+    for count in (*COUNTS[1:], *MORE_COUNTS):
+        more = pupil_points(pupil, count)
+        better = values(more)
+        # errors fall as one over the number of points or faster
+        error = float(np.quantile(np.abs(better - found), MOST_TRIED))
+        if error <= most:
+            return points, better, error
+        points, found = more, better
+    return points, found, error / 2
+
+
+def _bending_error(bending, values, points, changed, tried):
+    """Error of the displacements: between nodes, and by slopes at the place that sees.
+
+    Slopes half the way to the place that is seen are exact but for third derivatives; the light is thinned as slopes
+    there say. values: see `find_occlusion`. tried: places, members and radii.
     """
     places, reach = tried[0], np.abs(tried[2]).max(axis=0) + bending.reach
-    apart, steep = 0.0, 0.0
-    for step in np.eye(2):
-        there = values(points, places + reach[:, None] / 2 * step)
+    apart = 0.0
+    for step in np.eye(2) if bending.is_local else ():
+        there = values(points, places + reach[:, None] * step)
         apart += np.quantile(np.abs(there - changed), MOST_TRIED) ** 2
-        weights = bending.of_places(places + step) - bending.of_places(places)
-        moved = np.tensordot(weights.T, bending.of_points(points[:PROBES]), 1)
-        steep += np.abs(moved).max(initial=0)
     between = bending.error / max(bending.reach, BENT)
-    return apart**0.5 + (between + steep) * np.quantile(np.abs(changed), MOST_TRIED)
+    return apart**0.5 + between * np.quantile(np.abs(changed), MOST_TRIED)
+
+
+def _find_tilts(sheets, members, places, displaced):
+    """Return the derivatives of the radii of members along rows and columns, float32 (n, 2, E); 0 where radii jump."""
+    tilts = np.zeros((len(members), 2, len(places)), np.float32)
+    if displaced is not None:
+        sheets, maps = displaced.sheets, displaced.maps(places)
+        shape = np.array(sheets[0].alpha.shape)
+        at = np.clip(np.rint(places + maps[:2].T).astype(int), 0, shape - 1)
+    for k, sheet in enumerate(sheets):
+        radius = np.asarray(sheet.radius)
+        if not radius.ndim or np.ptp(radius) == 0:
+            continue
+        for s, member in enumerate(members):
+            its = member == k
+            if displaced is None:
+                found = np.stack(_slopes(radius, places[its]))
+            else:
+                down, across = _slopes(radius, at[its])
+                yy, yx, xy, xx = maps[2:6, its]
+                found = np.stack([down * yy + across * xy, down * yx + across * xx])
+            tilts[s, :, its] = np.where(np.abs(found).max(axis=0) <= STEEP, found, 0).T
+    return tilts
 
 
 def _linear_error(displaced, values, points, changed, tried):
@@ -588,7 +659,17 @@ def _deviation(values, reach):
 
 
 def covariance(
-    lights, alphas, places, members, radii, points, border, weights=(), bends=(), maps=None
+    lights,
+    alphas,
+    places,
+    members,
+    radii,
+    points,
+    border,
+    weights=(),
+    bends=(),
+    maps=None,
+    slopes=None,
 ):
     """Return the mean over the pupil of the light that layers let through, minus the product of means, (channels, E).
 
@@ -599,12 +680,14 @@ def covariance(
     radii, points = np.asarray(radii, np.float32), np.asarray(points, np.float32)
     weights, bends = np.asarray(weights, np.float32), np.asarray(bends, np.float32)
     moved = None if maps is None else np.asarray(maps, np.float32)[..., None]
+    sloped = None if slopes is None else np.asarray(slopes, np.float32)[..., None]
     there, kinds = (members >= 0)[..., None], np.maximum(members, 0)[..., None].astype(np.int64)
     (count, _), channels, (rows, cols) = places.shape, lights.shape[1], alphas.shape[1:]
     exact = np.zeros((channels, count))
     mean_light = np.zeros((len(members), channels, count))
     mean_alpha = np.zeros((len(members), count))
     lights, alphas = lights.ravel(), alphas.ravel()
+    whole, spread, one = np.zeros(count), np.float32(1), np.float32(1)
     size = max(TOGETHER // max(count, 1), 1)
     for n in range(0, len(points), size):
         some = points[n : n + size]
@@ -612,28 +695,43 @@ def covariance(
         bent = np.zeros((2, count, len(some)) if len(weights) else (2, 1, 1), np.float32)
         for weight, bend in zip(weights, bends, strict=True):
             bent += weight[:, None] * bend[n : n + size].T[:, None]
+        if sloped is not None:
+            steep = np.zeros((2, 2, count, len(some)), np.float32)  # of rows, columns; along them
+            for slope, bend in zip(sloped, bends, strict=False):
+                steep += slope * bend[n : n + size].T[:, None, None]
+            (yy, yx), (xy, xx) = steep
+            spread = one / ((one - yy) * (one - xx) - yx * xy)
+            whole += spread @ share
         through = np.ones((count, len(some)))
         for s, radius in enumerate(radii[..., None]):
-            down, across = (radius * one + more for one, more in zip((v, u), bent, strict=True))
-            flux = np.float32(1)
+            down, across = (radius * at + more for at, more in zip((v, u), bent, strict=True))
+            flux = spread
+            if sloped is not None:
+                tilt_y, tilt_x = sloped[len(weights) + s]
+                a, b = one - (yy + v * tilt_y), yx + v * tilt_x
+                c, d = xy + u * tilt_y, one - (xx + u * tilt_x)
+                scale = one / (a * d - b * c)
+                down, across = (d * down + b * across) * scale, (c * down + a * across) * scale
             if moved is not None:
-                flux = moved[6] + (moved[7] * down + moved[8] * across)
+                flux = flux * (moved[6] + (moved[7] * down + moved[8] * across))
                 down, across = (
                     moved[0] + (moved[2] * down + moved[3] * across),
                     moved[1] + (moved[4] * down + moved[5] * across),
                 )
-            down, across = (np.floor(one + np.float32(0.5)) for one in (down, across))
+            down, across = (np.floor(at + np.float32(0.5)) for at in (down, across))
             y, dark_y = _sample(places[:, :1] + down, rows, border)
             x, dark_x = _sample(places[:, 1:] + across, cols, border)
             at = cols * y + x
             alpha = alphas.take(kinds[s] * (rows * cols) + at) * there[s]
             lit = there[s] & ~dark_y & ~dark_x if border == "zero" else there[s]
-            for c in range(channels):
-                light = lights.take((kinds[s] * channels + c) * (rows * cols) + at) * (flux * lit)
-                exact[c] += (through * light) @ share
-                mean_light[s, c] += light @ share
+            for k in range(channels):
+                light = lights.take((kinds[s] * channels + k) * (rows * cols) + at) * (flux * lit)
+                exact[k] += (through * light) @ share
+                mean_light[s, k] += light @ share
             through *= 1.0 - alpha
-            mean_alpha[s] += alpha @ share
+            mean_alpha[s] += (alpha * spread) @ share
+    if sloped is not None:
+        mean_alpha /= whole
     before = np.cumprod(np.concatenate([np.ones((1, count)), 1 - mean_alpha[:-1]]), axis=0)
     return exact - (before[:, None] * mean_light).sum(axis=0)
 

@@ -348,7 +348,8 @@ class _Steps:
             placed = [name and f"{self.prefix}{name}" for name in names if plan.is_placed]
             work = float(16 * self.depth.layers * (self.count + self.channels) * self.samples)
             if self.depth.occlusion is not None:
-                nbytes += 4 * (self.channels + 1) * self.depth.layers * self.samples
+                sharp = 1 + (self.depth.occlusion.maps is not None)  # layers, and undisplaced
+                nbytes += 4 * sharp * (self.channels + 1) * self.depth.layers * self.samples
                 work += self.channels * self.depth.occlusion.work
             tables = f"{self.prefix}depth tables"
             constants = {

@@ -160,9 +160,12 @@ def composite_layers(
             alpha = falloff(alpha, _cut(gains, margin, device), device=device)
         blurred.append(blurred_light)
         alphas.append(alpha)
-        sharp.append(sharpen(light, cover, plan, device))
-        if depth.occlusion is not None and depth.occlusion.maps is not None:
+        rays = depth.occlusion
+        if rays is not None and rays.maps is not None:
             sources.append(_undisplaced(own, prepared, plan, device))
+        # rays meet the layers undisplaced; diffraction in focus is of displaced ones
+        is_needed = not sources or (rays is not None and depth.groups[layer] in rays.sharp)
+        sharp.append(sharpen(light, cover, plan, device) if is_needed else sources[-1])
     composed = composite(
         device.stack(blurred), device.stack(alphas), list(depth.groups), device=device
     )
@@ -237,7 +240,9 @@ class _Groups:
         Its change is of rays, and is blurred by diffraction.
         """
         found, device = self._depth.occlusion, self._device
-        places, members, radii, weights, maps = found.within(self._margin, composed.shape[1:])
+        places, members, radii, weights, maps, slopes = found.within(
+            self._margin, composed.shape[1:]
+        )
         if not len(places):
             return composed
         moved = tables.displacement(self._plan)
@@ -256,6 +261,7 @@ class _Groups:
             weights=weights,
             bends=found.bends,
             maps=maps,
+            slopes=slopes,
             device=device,
         )
         _, smooth = tables.in_focus(self._plan)

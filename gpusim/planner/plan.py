@@ -196,7 +196,7 @@ class Plan:
             depth and (depth.distances, depth.kernels, depth.confusion),
             depth
             and (rays := depth.occlusion)
-            and (rays.radii, rays.points, rays.weights, rays.bends, rays.maps),
+            and (rays.radii, rays.points, rays.weights, rays.bends, rays.maps, rays.slopes),
         )
         choices = (
             *((blur.folded, blur.spare, blur.period) if blur else (False, 0, self.content.shape)),

@@ -12,13 +12,21 @@ d is the displacement of rays by aberrations, a sum of terms: d(x, u) = sum over
 Distortion and view displace the layers: the light at y_k comes from the place S(y_k) of the layer, and is J(y_k) times
 as bright. Both are linear around x, `maps`: S(x) - x, (dS_y/dy, dS_y/dx, dS_x/dy, dS_x/dx), J(x), (dJ/dy, dJ/dx).
 
+Displacements are of the place that is seen. If radii and weights change from place to place, with their derivatives,
+`slopes`, along rows and columns, it is to first order
+
+    y_k - x = (1 - d/dx (r_k u + d))^-1 (r_k u + d),    b_k thinned to b_k / det(1 - d/dx d),
+
+and so are the means of a_j in the product, where rays crowd.
+
 Each sample is even over its cell. The sum is over the layers that take part at a place, and at the places that are
 given: elsewhere the two are equal.
 
 Ports: base (channels, rows, cols) float32, lights (layers, channels, R, S) float32 in the base's unit, alphas (layers,
 R, S) float32 [1], places (E, 2) int32, members (n, E) int32, radii (n, E) float32 [sample], points (M, 3) float32,
-weights (T, E) float32 [1], bends (T, M, 2) float32 [sample], maps (9, E) float32 [sample, sample, 1 ...] -> (channels,
-rows, cols) float32, out or its change from the base. R = rows + 2 margin, S = cols + 2 margin.
+weights (T, E) float32 [1], bends (T, M, 2) float32 [sample], maps (9, E) float32 [sample, sample, 1 ...],
+slopes (T + n, 2, E) float32 [1 / sample] -> (channels, rows, cols) float32, out or its change from the base.
+R = rows + 2 margin, S = cols + 2 margin.
 """
 
 import functools
@@ -27,7 +35,9 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+from gpusim.kernels.stage import Array, Case, stage
+
+MOST_AT_ONCE = 4
 
 
 @stage
@@ -46,6 +56,7 @@ def occlude(
     weights: Array | None = None,
     bends: Array | None = None,
     maps: Array | None = None,
+    slopes: Array | None = None,
 ) -> Array:
     """Return composed layers with the covariance over the pupil at some places.
 
@@ -65,6 +76,8 @@ def occlude(
         bends: Displacement (rows, cols) of each term at each point [sample], shape (T, M, 2).
         maps: Place and flux of the light that arrives at each place, and their derivatives, see above, shape (9, E);
             None: the layers are not displaced.
+        slopes: Derivatives of the weights, and of the radii, along rows and columns, shape (T + n, 2, E); None: they
+            are the same all around.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -79,21 +92,27 @@ def occlude(
     terms = 0 if weights is None else weights.shape[0]
     if not terms:
         weights, bends = np.zeros((1, 1), np.float32), np.zeros((1, 1, 2), np.float32)
-    sizes_of = {"SHEETS": max(sheets, 1), "BENDS": terms, "MAPS": int(maps is not None)}
-    defines = {"BORDER": BORDERS[border], **sizes_of}
-    at_once = channels if is_opencl_cpu(device) else 1
-    if device.kind == "opencl":
-        defines["AT_ONCE"] = at_once
+    # channels at once share their rays' places; a GPU needs all work-items
+    each = channels if channels <= MOST_AT_ONCE and not device.is_gpu else 1
+    defines = {
+        "BORDER": BORDERS[border],
+        "SHEETS": max(sheets, 1),
+        "BENDS": terms,
+        "MAPS": int(maps is not None),
+        "SLOPES": int(slopes is not None),
+        "EACH": each,
+    }
     maps = np.zeros((9, 1), np.float32) if maps is None else maps
+    slopes = np.zeros((1, 2, 1), np.float32) if slopes is None else slopes
     launch = functools.partial(device.launch, "optics.occlude", defines=defines)
     out = device.empty((channels, rows, cols))
     launch("begin", out.shape, base, out, int(change), *out.shape)
     if count:
         chosen = [device.array(places, np.int32), device.array(members, np.int32)]
-        of_rays = [device.array(one) for one in (radii, points, weights, bends, maps)]
+        of_rays = [device.array(one) for one in (radii, points, weights, bends, maps, slopes)]
         arrays = [base, lights, alphas, *chosen, *of_rays, out]
         sizes = [margin, int(change), points.shape[0], count, rows, cols, *lights.shape[1:]]
-        launch("occlude", (channels // at_once, count), *arrays, *sizes)
+        launch("occlude", (channels // each, count), *arrays, *sizes)
     return out
 
 
@@ -111,34 +130,38 @@ def operations(
     weights=None,
     bends=None,
     maps=None,
+    slopes=None,
 ) -> float:
     """Return the multiplications and additions.
 
     For each point at each place in each channel: 12 for each layer, 12 more if it is displaced, 4 for each term of
-    displacements.
+    displacements; with slopes 20 more for each layer, and 8 for each term.
     """
     terms = 0 if weights is None else weights.shape[0]
-    each = (12.0 + 12 * (maps is not None)) * members.shape[0] + 4 * terms
+    more = slopes is not None
+    each = (12.0 + 12 * (maps is not None) + 20 * more) * members.shape[0] + (4 + 8 * more) * terms
     return each * base.shape[0] * members.shape[1] * points.shape[0]
 
 
 def cases():
-    """Yield cases: one place, several layers, gaps among members, every border, a margin, aberrations, distortion."""
+    """Yield cases: one place, several layers, gaps among members, every border, aberrations, distortion, slopes."""
     random = np.random.default_rng(35)
     why = (
         "the places of the samples are rounded alike; each of M shares, products and sums of positive terms rounds by "
-        "half an ulp, and the two sums are below the brightest light of the layers, or 3 times that if it is displaced"
+        "half an ulp, and the two sums are below the brightest light of the layers, or 3 times that with fluxes"
     )
-    for layers, channels, rows, cols, places, points, border, margin, terms, moved in (
-        (2, 1, 1, 1, 1, 1, "edge", 0, 0, False),
-        (2, 3, 33, 41, 60, 40, "edge", 0, 0, False),
-        (3, 4, 20, 65, 130, 64, "zero", 0, 0, False),
-        (5, 2, 12, 9, 40, 33, "reflect", 3, 0, False),
-        (2, 3, 8, 8, 0, 5, "edge", 0, 0, False),
-        (2, 3, 33, 41, 60, 40, "edge", 0, 1, False),
-        (3, 2, 20, 65, 130, 64, "zero", 2, 7, False),
-        (2, 3, 33, 41, 60, 40, "edge", 0, 0, True),
-        (3, 2, 20, 65, 130, 64, "zero", 2, 3, True),
+    for layers, channels, rows, cols, places, points, border, margin, terms, more in (
+        (2, 1, 1, 1, 1, 1, "edge", 0, 0, ""),
+        (2, 3, 33, 41, 60, 40, "edge", 0, 0, ""),
+        (3, 4, 20, 65, 130, 64, "zero", 0, 0, ""),
+        (5, 2, 12, 9, 40, 33, "reflect", 3, 0, ""),
+        (2, 3, 8, 8, 0, 5, "edge", 0, 0, ""),
+        (2, 3, 33, 41, 60, 40, "edge", 0, 1, ""),
+        (3, 2, 20, 65, 130, 64, "zero", 2, 7, ""),
+        (2, 3, 33, 41, 60, 40, "edge", 0, 0, "displaced"),
+        (3, 2, 20, 65, 130, 64, "zero", 2, 3, "displaced"),
+        (2, 3, 33, 41, 60, 40, "edge", 0, 0, "sloped"),
+        (3, 2, 20, 65, 130, 64, "reflect", 2, 3, "displaced, sloped"),
     ):
         shape = rows + 2 * margin, cols + 2 * margin
         alphas = np.rint(1.5 * random.random((layers, *shape))).clip(0, 1)
@@ -158,15 +181,20 @@ def cases():
                 "weights": random.standard_normal((terms, places)).astype(np.float32),
                 "bends": random.standard_normal((terms, points, 2)).astype(np.float32),
             }
-        if moved:
+        if "displaced" in more:
             # turned and magnified by up to 20 %, so that fluxes stay below 3 within 20 samples
             own = [random.uniform(-3, 3, (2, places)), random.uniform(-0.2, 0.2, (4, places))]
             own[1][[0, 3]] += 1
             own += [random.uniform(0.5, 1.5, (1, places)), random.uniform(-0.03, 0.03, (2, places))]
             aberrations["maps"] = np.concatenate(own).astype(np.float32)
+        if "sloped" in more:
+            # determinants are 0.5 to 1.6 with up to 3 terms of up to 4
+            own = random.uniform(-0.01, 0.01, (terms, 2, places))
+            own = np.concatenate([own, random.uniform(-0.05, 0.05, (layers, 2, places))])
+            aberrations["slopes"] = own.astype(np.float32)
         yield Case(
             f"{rows}x{cols}, {layers} layers, {places} places, {points} points, {border}, margin {margin}, "
-            f"{terms} aberrations{', displaced' if moved else ''}",
+            f"{terms} aberrations{', ' * bool(more)}{more}",
             {
                 **aberrations,
                 "base": random.random((channels, rows, cols), np.float32),
@@ -180,7 +208,7 @@ def cases():
                 "margin": margin,
                 "change": border == "reflect",
             },
-            (12 if moved else 4) * layers * (points + layers) * 2.0**-24 * lights.max(),
+            (12 if more else 4) * layers * (points + layers) * 2.0**-24 * lights.max(),
             why,
             metric="exact",
         )

@@ -22,6 +22,7 @@ def occlude(
     weights=None,
     bends=None,
     maps=None,
+    slopes=None,
 ):
     """Return the stage's result, see `occlude.py`."""
     if weights is None:
@@ -29,6 +30,8 @@ def occlude(
     out = np.array(base, np.float64)
     y, x = np.asarray(places).T
     at = np.asarray(places) + margin
-    more = covariance(lights, alphas, at, members, radii, points, border, weights, bends, maps)
+    more = covariance(
+        lights, alphas, at, members, radii, points, border, weights, bends, maps, slopes
+    )
     out[:, y, x] = np.maximum(out[:, y, x] + more, 0)
     return out - base if change else out

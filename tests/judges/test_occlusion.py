@@ -102,25 +102,24 @@ def rays_and_product(
     size = layers[0].light.shape[0]
     at = (np.arange(-fine * 8, fine * (size + 8)) + 0.5) / fine - 0.5  # eight samples around
     y, x = np.meshgrid(at, at, indexing="ij")
-    near = [np.clip(np.rint(one).astype(int), 0, size - 1) for one in (y, x)]
     seen = np.zeros((1, *y.shape))
     lights, alphas, even = (np.zeros((len(layers), *y.shape)) for _ in range(3))
-    if source is not None:
-        near = [np.clip(np.rint(one).astype(int), 0, size - 1) for one in source(y, x)[:2]]
-    radii = [
-        np.broadcast_to(layer.confusion, layer.light.shape)[near[0], near[1]] / 2
-        for layer in layers
-    ]
+    varies = aberration is not None and not is_uniform
     rays, counts = distinct(rays_of(pupil, count), layers, fine, aberration, is_uniform, source)
     for (v, u), weight in zip(rays, counts / counts.sum(), strict=True):
         through = np.ones(y.shape)
-        for k, (layer, radius) in enumerate(zip(layers, radii, strict=True)):
-            seen_at, spread = (y + radius * v, x + radius * u), 1.0
-            if aberration is not None:  # of the place in the field that is seen
-                for _ in range(1 if is_uniform else 4):
-                    apart = aberration(v, u, *seen_at)
-                    seen_at = y + radius * v + apart[0], x + radius * u + apart[1]
-                spread = 1.0 if is_uniform else thinned(aberration, v, u, *seen_at)
+        for k, layer in enumerate(layers):
+            seen_at, spread = (y, x), 1.0
+            # of the place in the field that is seen
+            for _ in range(4 if varies or np.ndim(layer.confusion) else 1):
+                radius = layer.confusion / 2
+                if np.ndim(radius):
+                    at_home = seen_at if source is None else source(*seen_at)[:2]
+                    radius = map_coordinates(radius, at_home, order=1, mode="nearest")
+                apart = (0.0, 0.0) if aberration is None else aberration(v, u, *seen_at)
+                seen_at = y + radius * v + apart[0], x + radius * u + apart[1]
+            if varies:
+                spread = thinned(aberration, v, u, *seen_at)
             flux = 1.0
             if source is not None:
                 *seen_at, flux = source(*seen_at)
@@ -305,7 +304,7 @@ def test_edges_of_depth_are_those_of_rays(name):
     layers, points = SCENES[name]
     error, plan = error_in_sigma(layers, points=points)
     own = np.quantile(np.abs(error), 0.999)
-    assert own < (0.2 if name == "slanted" else 0.1)
+    assert own < (0.13 if name == "slanted" else 0.1)
     assert own < 1.5 * plan.account.total.p999_sigma + 0.03
     if plan.verdict.is_met:
         assert own <= 0.1
@@ -413,7 +412,7 @@ LENSES = {
 
 
 # 99.9 % of the pixels at 10,000 electrons [sigma]
-LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.45, "distortion": 0.12}
+LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.22, "distortion": 0.12}
 
 
 @pytest.mark.parametrize("lens", ["distortion", "Zernike", "six blades", "Seidel"])
@@ -424,10 +423,10 @@ LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.45, "distortion": 0.12}
 def test_edges_behind_any_lens_are_those_of_rays(lens, name):
     """As above: 0.1 sigma behind blades, distortion and aberrations that are the same everywhere; "met" only then.
 
-    Behind distortion, 20,000 rays of the truth err by 0.03 sigma. Surfaces that are slanted have another blur
-    at each place that a pixel sees. A frame of 48 samples with waves of aberration in its corner has other
-    displacements of rays at each place, too: by up to 0.05 sample for each sample in between, which is up to a
-    third of a sample here. Light in focus behind an aberration is spread over few samples, between which
+    Behind distortion, 20,000 rays of the truth err by 0.03 sigma. In a frame of 48 samples with waves of aberration in
+    its corner displacements of rays change by up to 0.05 sample for each sample: 6000 rays of the truth err by 0.06
+    sigma, and kernels of the field by 0.1. Displaced surfaces that are slanted have displaced distances, 0.25 sigma.
+    Light in focus behind an aberration is spread over few samples, between which
     the sum is not known: 0.8 sigma. The account has bounds of all.
     """
     optics, more = LENSES[lens]
@@ -440,7 +439,9 @@ def test_edges_behind_any_lens_are_those_of_rays(lens, name):
     own = np.quantile(np.abs(error), 0.999)
     usual = LIMITS[lens]
     if name in ("slanted", "back in focus"):
-        usual = 1.0 if lens == "Zernike" else max(usual, 0.3)
+        usual = max(usual, 0.3)
+    if lens == "Zernike" and name == "back in focus":
+        usual = 0.85
     assert own < usual
     assert own < 1.5 * plan.account.total.p999_sigma + 0.03
     if plan.verdict.is_met:
@@ -484,9 +485,9 @@ def test_sums_over_any_pupil_are_those_of_rays(pupil, name):
 
 @pytest.mark.parametrize("lens", ["Zernike", "Seidel"])
 def test_sums_over_an_aberrated_pupil_are_those_of_rays(lens):
-    """As above; behind Seidel's aberrations, by 2048 points, 1e-2: places that are seen are elsewhere in the field.
+    """As above. Rays of a lens without aberrations differ by more.
 
-    Rays of a lens without aberrations differ by more.
+    So do rays that have the displacement of the place that sees, if it is another at the place that is seen.
     """
     layers = SCENES["on both sides"][0]
     sheets = [
@@ -498,14 +499,17 @@ def test_sums_over_an_aberrated_pupil_are_those_of_rays(lens):
     light, alpha = (np.stack([getattr(one, key) for one in sheets]) for key in ("light", "alpha"))
     rays, product = rays_and_product(layers, Pupil(), 1e-9, 1, 2000, **more)
     errors = []
-    for used in (bending, None):
+    for used, has_slopes in ((bending, True), (None, True), (bending, lens == "Zernike")):
         found = find_occlusion(sheets, Pupil(), "edge", 1e-4, bending=used)
         own = np.zeros((SIZE, SIZE))
         chosen = found.places, found.members, found.radii, found.points
-        chosen = *chosen, "edge", found.weights, found.bends
-        own[found.places[:, 0], found.places[:, 1]] = covariance(light[:, None], alpha, *chosen)[0]
+        chosen = *chosen, "edge", found.weights, found.bends, None
+        slopes = found.slopes if has_slopes else None
+        change = covariance(light[:, None], alpha, *chosen, slopes)[0]
+        own[found.places[:, 0], found.places[:, 1]] = change
         errors.append(np.abs(own - rays + product).max())
-    assert errors[0] < (3e-3 if lens == "Zernike" else 1e-2) < errors[1]
+    assert errors[0] < 3e-3 < errors[1]
+    assert lens == "Zernike" or errors[2] > 5e-3
 
 
 def test_sums_over_displaced_layers_are_those_of_rays():
