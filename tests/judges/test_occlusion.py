@@ -412,7 +412,7 @@ LENSES = {
 
 
 # 99.9 % of the pixels at 10,000 electrons [sigma]
-LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.22, "distortion": 0.12}
+LIMITS = {"six blades": 0.1, "Zernike": 0.1, "Seidel": 0.22, "distortion": 0.1}
 
 
 @pytest.mark.parametrize("lens", ["distortion", "Zernike", "six blades", "Seidel"])
