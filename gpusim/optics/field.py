@@ -487,7 +487,7 @@ class FlatField:
         probes = _probes(self.shape)
         moments = moments_of(_kernels(lens, probes))[..., :2]
         known = self.at_nodes[..., :2].reshape(len(self.at_nodes), -1)
-        between = interpolate(self.nodes, known, *probes.T, grid=False).T
+        between = interpolate(self.nodes, known, probes[:, 0], probes[:, 1], grid=False).T
         steps = np.array([at[1] - at[0] for at in self.nodes])
         wrong = KINK / steps * (moments - between.reshape(moments.shape))
         squares = np.square(wrong).sum(axis=2) @ self.levels**2
