@@ -205,7 +205,8 @@ def _rest(
     differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8)
     flat = FlatField(differences, shape, levels, flat_limit / 2)
     found = choose(differences, shape, limit / 2 / np.sqrt(count), flat)
-    found = with_more_probes(found, differences, shape)
+    if found.error[0] <= limit:  # else the plan does not meet the tolerance
+        found = with_more_probes(found, differences, shape)
     rms, worst = np.hypot(found.error, differences.end_error()).tolist()
     shaded, most = np.hypot(found.flat, flat.unseen(differences)).tolist()
     return replace(found, error=(rms, worst), flat=(shaded, most))
