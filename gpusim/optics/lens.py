@@ -292,6 +292,10 @@ class _OnGrid:
     distances = None
     distance_model = ""
 
+    def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        raise NotImplementedError
+
     def moments(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`."""
         return self.centroids(wavelengths, place, distance)

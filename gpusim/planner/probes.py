@@ -304,7 +304,8 @@ class Probes:
         """
         at = (np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2) % SIDE
         repeated = np.zeros((len(kernels), SIDE, SIDE))
-        np.add.at(repeated, (slice(None), at[:, None], at), kernels)
+        for own, kernel in zip(repeated, kernels, strict=True):
+            np.add.at(own, (at[:, None], at), kernel)
         wrong = scipy.fft.rfft2(repeated).astype(np.complex64)
         return self.bound(_mix(mix, _mix(table, self.spectra) * wrong))
 

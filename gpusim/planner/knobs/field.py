@@ -14,6 +14,7 @@ from gpusim.optics.field import (
     choose,
     farthest_corner,
     natural_difference,
+    with_more_probes,
 )
 from gpusim.optics.fusion import Response, channel_operator, joint_operator
 from gpusim.optics.kernel_space import KernelSpace, make_space
@@ -204,8 +205,11 @@ def _rest(
     differences = Differences(lens, wavelengths, transfers, shape, corner, room / 8)
     flat = FlatField(differences, shape, levels, flat_limit / 2)
     found = choose(differences, shape, limit / 2 / np.sqrt(count), flat)
+    if found.error[0] <= limit:  # else the plan does not meet the tolerance
+        found = with_more_probes(found, differences, shape)
     rms, worst = np.hypot(found.error, differences.end_error()).tolist()
-    return replace(found, error=(rms, worst))
+    shaded, most = np.hypot(found.flat, flat.unseen(differences)).tolist()
+    return replace(found, error=(rms, worst), flat=(shaded, most))
 
 
 def _by_depth(

@@ -131,7 +131,8 @@ def ways(question: Question, probes: Probes | None, depth: DepthPlan | None = No
             worst = WorstKernels(inputs, varying.wrong, mix, varying.worst_ratio)
             choices = *choices, worst
         made = Fused(flat, mix, choices)
-        bound = field_bound(probes, *wrong, worst)
+        rms, most, shaded = wrong
+        bound = field_bound(probes, rms, most, shaded, worst)
         return [Way(len(inputs), bound, words, lambda _: made)]
     exact = _exact(question.content, even, flat)
     if probes is None:
