@@ -11,7 +11,7 @@ from gpusim.backends import Device
 from gpusim.color.rendering import Rendering
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
-from gpusim.domain.content import Content
+from gpusim.domain.content import Content, Picture
 from gpusim.domain.errors import BadData, check_known
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -401,8 +401,14 @@ class Loop:
         return does
 
     def _probe(self, plan, seconds):
-        """Return the account of the plan in this scene. seconds: exposure time [s]; None: the camera's choice."""
-        return self.before.cache("probes", probe_plan, self.simulator, plan, self.scene, seconds)
+        """Return the account of the plan in this scene, whose blur was launched.
+
+        seconds: exposure time [s]; None: the camera's choice.
+        """
+        simulator, content = self.simulator, self.scene.content
+        # the device has decoded them
+        stored = self.values["entries"] if isinstance(content, Picture) else None
+        return self.before.cache("probes", probe_plan, simulator, plan, self.scene, seconds, stored)
 
     def _facts(self):
         """Return facts of the scene. If the device computes them, the host reads only a few numbers."""

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from math import ceil, prod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -196,9 +196,14 @@ def predict_errors(
     return replace(made, scene=scene)
 
 
-def probe_plan(simulator: "Simulator", made: Plan, scene: Scene, seconds: float | None) -> Account:
-    """Return a plan's errors in another scene that it serves. seconds: exposure time [s]; None: the camera's choice."""
-    facts = Facts(scene.content, None, Reading(simulator.device, scene.content))
+def probe_plan(
+    simulator: "Simulator", made: Plan, scene: Scene, seconds: float | None, stored: Any = None
+) -> Account:
+    """Return a plan's errors in another scene that it serves.
+
+    seconds: exposure time [s]; None: the camera's choice. stored: the scene's samples on the device, see `Reading`.
+    """
+    facts = Facts(scene.content, None, Reading(simulator.device, scene.content, stored))
     question = Question.of(
         scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
     )
