@@ -481,8 +481,15 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
     assert json.loads(told.read_text())["plan"] == own[0]
 
 
-@pytest.mark.parametrize("tolerance", [None, "video"])
-@pytest.mark.parametrize("has_depth", [False, True])
+@pytest.mark.parametrize(
+    ("tolerance", "has_depth"),
+    [
+        (None, False),
+        ("video", False),
+        ("video", True),
+        pytest.param(None, True, marks=pytest.mark.slow),
+    ],
+)
 def test_the_last_scene_is_planned_again_only_if_its_arrays_changed(
     tolerance, has_depth, monkeypatch
 ):
