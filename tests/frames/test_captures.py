@@ -53,7 +53,13 @@ def taken(capture, simulator, scene, plan, first):
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)
-@pytest.mark.parametrize("name", CAPTURES)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.slow) if name == "moving reads" else name
+        for name in CAPTURES
+    ],
+)
 def test_every_path_makes_the_same_bits(name, device):
     """Stream, batch and call, with one plan."""
     capture, content = CAPTURES[name], SCENE.content
