@@ -158,10 +158,16 @@ class Batch:
             plans.append(loop.plan_of_output)
         checked = rows if self._planned_for is not None else ()
         for item, (scene, camera, seconds, gain, seed, number) in enumerate(checked):
-            self._items[item].judge()
-            if self._items[item].before.plan is None:
-                # the plan does not fit: make the frame with a new loop, for this call only
-                self._items[item] = None
+            loop = self._items[item]
+            if self._capture is None:
+                loop.settle()
+            else:
+                loop.judge()
+            made, _ = loop.before.plan or (None, None)
+            if made is not None and made.scene is self._planned_for:
+                continue
+            self._items[item] = None  # another plan is for this call only
+            if made is None or plans[item].scene is not scene:  # the plan did not fit
                 own = self._simulator_of(item).apart(camera, Cache())
                 loop = Loop(own, scene, seconds, gain, capture=self._capture)
                 frames[item] = loop.output(self.output, seed=seed, first=number)

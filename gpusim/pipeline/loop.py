@@ -664,10 +664,12 @@ class Loop:
     @property
     def judged_exposure(self) -> Exposure:
         """The exposure by a plan that is known to fit the scene, with the errors predicted for it. Waits."""
+        start = time.perf_counter()
         exposure = self.exposure
         if not self._plan_still_valid():
             exposure = self.exposure
-        return dataclasses.replace(exposure, plan=self._annotate(exposure.plan))
+        plan, wall = self._annotate(exposure), 1e3 * (time.perf_counter() - start)
+        return dataclasses.replace(exposure, plan=plan, wall_ms=wall)
 
     @property
     def settings(self) -> tuple[float | None, float, Plan | None]:
@@ -683,26 +685,22 @@ class Loop:
     def account(self) -> Account:
         """Predicted errors of the scene's exposure, from the measurements made so far."""
         exposure = self.expose()
-        return self._annotate(exposure.plan).account.at(exposure.exposure_time)
+        return self._annotate(exposure).account.at(exposure.exposure_time)
 
-    def _annotate(self, plan):
-        """Return a plan with the errors predicted for the scene."""
+    def _annotate(self, exposure):
+        """Return an exposure's plan with the errors predicted for the scene."""
+        plan = exposure.plan
         if self._fixed_plan is not None:
             return self._predict_given()
         if plan.scene is self.scene:
             return plan
         probing = self.before.probing
         found = probing.annotate(plan, self.scene, self._drift)
-        if found.verdict is None or found.verdict.is_met or probing.are_of_last:
+        if found.meets(exposure.exposure_time) or probing.are_of_last:
             return found
         # the errors may have been those of a harder scene
         account = self._probe(plan, self._exposure_time)
         return dataclasses.replace(plan.of(self.scene, None, account), probed="from this scene")
-
-    @property
-    def scene_plan(self) -> Plan:
-        """The exposure's plan, with the errors predicted for its scene."""
-        return self._annotate(self.expose().plan)
 
     def _predict_given(self):
         """Return the given plan, with the errors predicted for the scene."""

@@ -398,10 +398,11 @@ class Simulator:
             loop.reuse(kept[0])
         del kept
         exposure = loop.judged_exposure
-        verdict = exposure.plan.verdict
-        if exposure.plan.planned_for and verdict is not None and not verdict.is_met:
+        if exposure.plan.planned_for and not exposure.plan.meets(exposure.exposure_time):
+            before = exposure.wall_ms
             loop = self.loop(scene, exposure_time, gain)  # a plan made for the scene may meet it
             exposure = loop.judged_exposure
+            exposure = replace(exposure, wall_ms=before + exposure.wall_ms)
         if plan is None:
             self._kept = loop.keep_plan(), exposure_time
         return replace(exposure, is_rewritten=False)

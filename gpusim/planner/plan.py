@@ -296,12 +296,13 @@ class Plan:
 
         None stands for the exposure time of the account.
         """
-        if (
-            exposure_time in (None, self.account.seconds)
-            or self.tolerance is None
-            or self.verdict is None
-            or not self.verdict.is_met
-        ):
+        if exposure_time is None or self.verdict is None or not self.verdict.is_met:
+            return True
+        return self.meets(exposure_time)
+
+    def meets(self, exposure_time: float) -> bool:
+        """Return whether the tolerance is met at an exposure time [s], or there is none to meet."""
+        if self.verdict is None or self.tolerance is None:
             return True
         return self.account.at(exposure_time).verdict(self.tolerance).is_met
 

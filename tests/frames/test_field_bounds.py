@@ -116,7 +116,9 @@ def sum_points(light, confusion, optics, seconds):
 )
 @pytest.mark.parametrize("is_flat", [True, False], ids=["flat", "clouds"])
 def test_worst_places_are_predicted(seidel, confusion, size, is_flat):
-    """At `video`: what is predicted at 99.9 % of the pixels and at most is true, and at most 20 times as large.
+    """At `video`: what is predicted at 99.9 % of the pixels and at most is true, and at most ten times as large.
+
+    In the smallest frames of clouds 15 times: the worst place's kernel counts everywhere.
 
     A rim of half a kernel, where light from outside counts, is not judged.
     """
@@ -128,5 +130,6 @@ def test_worst_places_are_predicted(seidel, confusion, size, is_flat):
     bound = plan.account.bounds["planes"]
     error = (np.abs(found - true) / np.sqrt(np.maximum(true, 1)))[7:-7, 7:-7]
     own = np.quantile(error, 0.999), error.max()
-    assert own[0] <= bound.p999_sigma <= 20 * own[0]
-    assert own[1] <= bound.max_sigma <= 20 * own[1]
+    most = 15 if size == 48 and not is_flat else 10
+    assert own[0] <= bound.p999_sigma <= most * own[0]
+    assert own[1] <= bound.max_sigma <= most * own[1]

@@ -374,3 +374,17 @@ def test_calls_share_a_plan_while_it_fits(device, monkeypatch):
     turned = met(scene_of(SPECTRA[:, ::-1], "turned"), True)
     sharp.content.values[:] = SPECTRA[:, ::-1]  # the scene of the plan itself
     np.testing.assert_array_equal(np.array(met(sharp).mean), np.array(turned.mean))
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_batch_comes_back_to_the_scene_that_it_is_planned_for(device):
+    """A scene whose probe misses has a plan for its call only."""
+    first, camera = even(), CAMERA.with_(exposure_time_ms=1e3 * SECONDS)
+    batch = made(device, camera=camera).batch(1, "mean", planned_for=first)
+    for scene in (even("one"), local(), even("two")):
+        found = np.array(batch(scene))[0]
+        own = scene.name == "local"
+        assert batch.plans[0].scene is (scene if own else first)
+        if own:  # the frame is the plan's
+            fresh = np.array(made(device, camera=camera).expose(scene).mean)
+            np.testing.assert_array_equal(found, fresh)
