@@ -169,7 +169,7 @@ class Command:
     """A separate kernel object with its arguments.
 
     stage: stage that is charged. name: name of the kernel. spare: list to which the kernel finally
-    returns. words: what is compiled at the first start, "" for nothing.
+    returns. words: names the work of the first start, such as "compiling sensor.noise"; "" if it compiles nothing.
     """
 
     def __init__(self, device, stage, name, kernel, pieces, args, spare, words):

@@ -275,7 +275,7 @@ class OpenCLDevice(Taped):
         return Command(self, charged, kernel, entry, pieces, args, spare, words)
 
     def _first_words(self, stage, kernel, defines, pieces):
-        """Return what PoCL will compile as these pieces start, in words; "" for nothing."""
+        """Return words for the kernels that PoCL will compile as these pieces start; "" if there are none."""
         started = self._started.get((stage, *sorted(defines.items())))
         if started is None:
             return ""

@@ -1,4 +1,4 @@
-"""PoCL's compiled programs, loaded by their place in its cache.
+"""Loads PoCL's compiled programs from their places in its cache.
 
 PoCL finds a program in its cache by the preprocessed text: 22 ms of its compiler's front end for
 each program. A binary names the place, and takes 2 ms. PoCL itself makes binaries only with code for

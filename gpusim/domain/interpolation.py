@@ -50,7 +50,7 @@ def line_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
 def spline_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Return weights of a cubic spline through nodes (L,), at points (M,): (M, L).
 
-    Its ends are not-a-knot, or natural for up to three nodes. The bits are those of SciPy's
+    Its ends are not-a-knot, or natural for up to three nodes. The bits equal the bits of SciPy's
     CubicSpline, whose import takes longer than a frame.
     """
     nodes, at = (np.asarray(values, np.float64) for values in (nodes, at))

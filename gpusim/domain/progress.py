@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-# Called by the thread that works: with the words as work begins; as it ends, with those of the work
-# around it, None if there is none
+# The thread that works calls it. As work begins, its words are given. As it ends, the words of the work
+# around it are, or None if there is none.
 Listener = Callable[[str | None], None]
 _listeners: list[Listener] = []
 
@@ -32,7 +32,7 @@ def listening(listener: Listener) -> Iterator[None]:
 
 @contextmanager
 def announced(words: str) -> Iterator[None]:
-    """Announce the work of the block. words: what is done, such as "compiling sensor.noise"."""
+    """Announce the work of the block. words: a name of the work, such as "compiling sensor.noise"."""
     outer = _own.words
     _notify(words)
     try:

@@ -717,7 +717,7 @@ class Differences:
         return y * at[:, None] + x * at
 
     def _enough(self, error, distance):
-        """Size of kernels beyond which the differences at the corners cost less than `error`, and what they cost."""
+        """Size of kernels beyond which the differences at the corners err less than `error`, and their error."""
         least = self.lens.least_size
         if self.lens.tail is None and distance is not None:  # the spread ends
             least = max(least, 2 * int(np.ceil(self.lens.spread(self.nodes, 0.0, distance))) + 3)

@@ -482,7 +482,7 @@ def find_occlusion(
 
 
 def _double_points(pupil, values, most):
-    """Return as many points of a pupil as serve, what they give, and their error: at most `most` at nearly all places.
+    """Return enough points of a pupil, their values, and the error: at most `most` at nearly all places.
 
     Steps that are not between the same samples everywhere take many.
     """

@@ -345,8 +345,8 @@ class Loop:
     def reuse(self, kept: Planned) -> None:
         """Use a plan that was kept, if it may serve this scene.
 
-        The scene that it was made for must give the same facts again. Another one is measured and probed like those of
-        a loop; without a tolerance there are no probes, so it gets a plan of its own.
+        The scene that it was made for must give the same facts again. Another scene is measured and probed like
+        the scenes of a loop. Without a tolerance there are no probes, so it gets another plan.
 
         Args:
             kept: The plan, for a camera and a tolerance like this loop's.
@@ -698,7 +698,7 @@ class Loop:
         found = probing.annotate(plan, self.scene, self._drift)
         if found.meets(exposure.exposure_time) or probing.are_of_last:
             return found
-        # the errors may have been those of a harder scene
+        # an earlier scene may have had larger errors
         account = self._probe(plan, self._exposure_time)
         return dataclasses.replace(plan.of(self.scene, None, account), probed="from this scene")
 
