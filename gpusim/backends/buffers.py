@@ -1,6 +1,5 @@
 """Arrays of OpenCL devices, with the interface of NumPy's, and commands: kernels with arguments."""
 
-from contextlib import nullcontext
 from math import prod
 
 import numpy as np
@@ -162,9 +161,6 @@ class Block:
             self.free[self.nbytes].append((self.buffer, self.host))
 
 
-_NOTHING = nullcontext()
-
-
 class Command:
     """A separate kernel object with its arguments.
 
@@ -209,12 +205,19 @@ class Command:
         self.args = tuple(None if isinstance(arg, OpenCLArray) else arg for arg in self.args)
 
     def start(self):
-        device = self.device
-        words, self.words = self.words, ""
-        with device._lock, device.compiling(words) if words else _NOTHING:
+        if self.words:
+            words, self.words = self.words, ""
+            with self.device._lock, self.device.compiling(words):
+                self._enqueue()
+        else:
+            self._enqueue()
+
+    def _enqueue(self):
+        device, kernel, enqueue = self.device, self.kernel, self.enqueue
+        clock = device._clock
+        with device._lock:
             for size, block, offset in self.pieces:
-                event = self.enqueue(device.queue, self.kernel, size, block, offset)
-                clock = device._clock
+                event = enqueue(device.queue, kernel, size, block, offset)
                 if clock.times is not None:
                     clock.events.append((self.stage, event))
             device._keep(self.args)

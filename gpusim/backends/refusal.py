@@ -28,9 +28,10 @@ def of_launch(stage, _kernel, _grid, *args, **_):
     return f"a kernel of {stage}", _nbytes(args)
 
 
-def of_command(command):
-    """Return the request of a recorded launch or copy."""
-    return f"a kernel of {command.stage}", _nbytes(command.args)
+def of_commands(commands):
+    """Return the request of recorded launches and copies: that with the largest arguments [byte]."""
+    nbytes, largest = max(((_nbytes(one.args), one) for one in commands), key=lambda pair: pair[0])
+    return f"a kernel of {largest.stage}", nbytes
 
 
 def _nbytes(arrays):

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends.device import Device
-from gpusim.backends.refusal import of_command, of_launch, of_shape, of_values, refusable
+from gpusim.backends.refusal import of_commands, of_launch, of_shape, of_values, refusable
 from gpusim.domain.memory import to_host
 
 SMALL = 1 << 16  # [byte] of constants whose values are compared; larger ones are copied again
@@ -150,6 +150,22 @@ class Tape:
                 command.set(tuple(news.get(id(arg), arg) for arg in command.args))
         return True
 
+    def exchange(self, others) -> bool:
+        """Give the recorded kernels that use an array another one, pairs (old, new); False if it is impossible.
+
+        Unlike `replace_arrays`, not every old array has to be in use.
+        """
+        used = self.used
+        own = [pair for pair in others if id(pair[0]) in used]
+        return not own or self.replace_arrays(own)
+
+    @property
+    def used(self) -> set[int]:
+        """Identities of the arrays that the recorded kernels use, also in another form."""
+        return {id(array) for array in self.viewed} | {
+            id(arg) for command in self.commands for arg in command.args
+        }
+
     def renumber(self, numbers) -> bool:
         """Give the recorded kernels other numbers by name; False, and nothing is done, unless they take all of them.
 
@@ -172,8 +188,8 @@ class Tape:
 
     def replay(self):
         """Start the recorded kernels again, for inputs in the same memory."""
-        for command in self.commands:
-            command.device.start(command)
+        if self.commands:
+            self.commands[0].device.start(self.commands)
 
 
 class OwnTape(threading.local):
@@ -356,10 +372,11 @@ class Taped(Device):
             command.set((target, source))
             tape.start(command)
 
-    @refusable(of_command)
-    def start(self, command):
-        """Start a command again."""
-        command.start()
+    @refusable(of_commands)
+    def start(self, commands):
+        """Start commands again, in order."""
+        for command in commands:
+            command.start()
 
     @refusable(of_launch)
     def launch(

@@ -87,10 +87,14 @@ class Cache:
         found = self._entries.get(name)  # read once: another thread may replace it
         change, has_numbers, changed = OTHER, True, {}
         if found is not None:
-            change = compare(found[0][:-1], key)
-            old = found[0][-1]
-            changed = {n: value for n, value in numbers.items() if old.get(n, NOBODY) != value}
-            has_numbers = not changed
+            of, its, options, old = found[0]
+            if of is function:
+                change = _compare_all(its, key[1], BY_IDENTITY) if len(its) == len(args) else OTHER
+                if options is not kwargs and change != OTHER:
+                    change = min(change, compare(options, kwargs))
+            if old != numbers:
+                changed = {n: value for n, value in numbers.items() if old.get(n, NOBODY) != value}
+                has_numbers = not changed
             if change == SAME and has_numbers:
                 return found[1]
         if found is None or found[0][0] is not function:
@@ -121,8 +125,9 @@ class Cache:
 
     def with_versions(self, value):
         """Return a value for a key: device arrays get the version of their contents."""
-        if type(value) is tuple or type(value) is list:
-            return tuple(map(self.with_versions, value))
+        kind = type(value)
+        if kind is tuple or kind is list:
+            return tuple([self.with_versions(part) for part in value])
         if isinstance(value, self._array_type):
             return One(value, getattr(value, _WRITER, NOBODY)[1])
         return value
@@ -139,6 +144,16 @@ class Cache:
         return not any(part is old for part in parts for old, _ in others) and tape.replace_arrays(
             others
         )
+
+    def tape_of(self, name: str) -> Tape | None:
+        """Return the tape of a result; None if it has none."""
+        found = self._entries.get(name)
+        return None if found is None else found[2]
+
+    def expire(self, name: str) -> None:
+        """Forget for which arguments a result was computed; its arrays and its tape stay."""
+        _, value, tape = self._entries[name]
+        self._entries[name] = (None, (), {}, {}), value, tape
 
     def host_accesses(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
         """Return results whose last computation did not only start kernels.
@@ -253,10 +268,18 @@ def _compare_all(a, b, by_identity):
     """Return the lowest relation between pairs of parts."""
     least = SAME
     for own, its in zip(a, b, strict=True):
-        if own is its or (type(own) in NUMBERS and type(own) is type(its) and own == its):
+        if own is its:
+            continue
+        kind = type(own)
+        if kind is One and kind is type(its) and own.value is its.value:
+            if own.version != its.version and least > REFILLED:
+                least = REFILLED
+            continue
+        if kind in NUMBERS and kind is type(its) and own == its:
             continue
         found = compare(own, its, by_identity)
         if found == OTHER:
             return OTHER
-        least = min(least, found)
+        if found < least:
+            least = found
     return least

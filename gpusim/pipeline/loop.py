@@ -44,6 +44,7 @@ from gpusim.pipeline.planning import (
 )
 from gpusim.pipeline.probing import Probing
 from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
+from gpusim.pipeline.repeat import MOST_PATIENCE, PATIENCE, NotRepeatable, Repeat
 from gpusim.pipeline.step import Rate, Step, Values
 from gpusim.planner.draft import draft_plan
 from gpusim.planner.facts import Facts
@@ -206,6 +207,7 @@ class Loop:
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self.before = SharedOptics(simulator.device) if before is None else before
+        self._light = "metered light" if meters_late else "light"  # value with its statistics
         self.cache = self.before.cache if before is None else Cache(simulator.device)
         self.values = Values(
             {
@@ -224,6 +226,15 @@ class Loop:
         self._drift: float | None = None  # of the plan, in the last scene that was checked
         self._last: tuple | None = None  # an exposure, with its plan, scene and settings
         self._drafts = False
+        self._repeat: Repeat | None = None  # commands of the last output
+        self._repeat_of: tuple = ()  # settings that they are for
+        self._repeated: Scene | None = None  # the scene whose light their arrays hold
+        self._begun: Scene | None = None  # the scene whose blur they have started
+        self._outputs, self._noted = (
+            0,
+            (None,),
+        )  # outputs in a row with the same settings, and these
+        self._patience = PATIENCE
         self._served: tuple = (None,) * 5  # a plan that is usable, and for which settings
         self._fixed_plan = plan
         if plan is not None:
@@ -317,17 +328,15 @@ class Loop:
     def _usable_plan(self):
         """Return the existing plan if it serves this scene and camera, else None."""
         plan, by = self.before.plan or (None, None)
-        now = plan, by, self.scene, self.simulator.camera, self._exposure_time
-        if not all(map(is_, now, self._served)):
-            is_usable = (
-                plan is not None
-                and not self._needs_other_plan()
-                and (plan.scene is self.scene or plan.serves(self.scene))
-                and plan.lasts(self._exposure_time)
-            )
-            if not is_usable:
-                return None
-            self._served = now
+        scene, settings = self.scene, (plan, by, self.simulator.camera, self._exposure_time)
+        served, *known = self._served
+        if plan is None or (scene is not served and plan.scene is not scene and not plan.serves(scene)):
+            return None
+        if not all(map(is_, settings, known)) and (
+            self._needs_other_plan() or not plan.lasts(self._exposure_time)
+        ):
+            return None
+        self._served = scene, *settings
         return plan
 
     def keep_plan(self) -> Planned:
@@ -484,8 +493,12 @@ class Loop:
         """Launch the blur of the scene if there is a plan, so that the device has work before the frame is made."""
         plan = self._usable_plan() if self.capture is None else None
         if plan is not None and not (self._last and self._last[1:3] == (plan, self.scene)):
-            self._last = None  # its arrays are rewritten
-            self._start(plan)
+            self._last = self._repeated = None  # its arrays are rewritten
+            repeat = self._repeat and self._usable_repeat(self._repeat.output)
+            if repeat is not None and self._begin_again(repeat, plan):
+                self._begun = self.scene
+            else:
+                self._start(plan)
 
     def follow(self, other: "Loop") -> None:
         """Continue after a frame of another loop with the same plan, as if this loop had made that frame.
@@ -516,16 +529,24 @@ class Loop:
 
     def _start_check(self, plan, mean, seconds):
         """Start the statistics of a scene that the plan was not made for; they are read before the next frame."""
-        device, values, found = self.simulator.device, self.values, None
+        values = self.values
         entries = self.before.cache.with_versions(values["entries"])
         checked = entries, self.before.cache.with_versions(mean) if self.meters_late else None
         if self.before.checked[:1] == (plan,) and same(self.before.checked[1], checked):
             return
         self.before.checked = plan, checked
-        light = device.fetch(values["light"])
+        names = [self._light, "survey"] if plan.find(Watch) else [self._light]
+        self._fetch_check(plan, {name: values[name] for name in names}, seconds)
+
+    def _fetch_check(self, plan, measured, seconds):
+        """Fetch the statistics "light" and "survey" of the scene."""
+        device, found = self.simulator.device, None
+        light = device.fetch(measured[self._light])
         if plan.find(Watch) and plan.scene is not self.scene and self._fixed_plan is None:
-            found = device.fetch(values["survey"])
-        self._pending = _Check(self.scene, plan, light, found, prod(mean.shape), seconds)
+            found = device.fetch(measured["survey"])
+        sensor = self.simulator.camera.sensor
+        pixels = prod(plan.scene.shape) * (len(sensor.channels) if sensor.stacked else 1)
+        self._pending = _Check(self.scene, plan, light, found, pixels, seconds)
 
     def judge(self) -> None:
         """Wait for the statistics of the last scene, and drop the plan if it does not fit.
@@ -588,10 +609,95 @@ class Loop:
         if self.capture is not None:
             found, self._plan_of_capture = self.capture.output(self, name, seed=seed, first=first)
             return found
+        repeat = self._usable_repeat(name)
+        if repeat is not None and self._start_again(repeat, {"seed": seed, "frame": first}):
+            return repeat.result
         exposure, values = self.expose(), self.values
         if name == "irradiance":
             self._use("irradiance", self.simulator.imaging.irradiance_steps, exposure.plan)
-        return values[name] if name in BEFORE_NOISE else output_of(values, name, seed, first)
+        found = values[name] if name in BEFORE_NOISE else output_of(values, name, seed, first)
+        self._note_output(name)
+        return found
+
+    def _usable_repeat(self, name):
+        """Return the commands of the last output if they make this one with the present settings, else None."""
+        repeat = self._repeat
+        is_usable = (
+            repeat is not None
+            and repeat.output == name
+            and repeat.is_current
+            and all(map(is_, self._repeat_of, self._settings_of_repeat()))
+            and self._usable_plan() is not None
+        )
+        return repeat if is_usable else None
+
+    def _settings_of_repeat(self):
+        """Return the objects that an output depends on, except the scene's samples and the numbers of the frame."""
+        view, plan = self.scene.view, self.before.plan
+        return (
+            self.simulator,
+            self._exposure_time,
+            self._gain,
+            plan and plan[0],
+            None if view.is_plain else view,
+        )
+
+    def _start_again(self, repeat, numbers) -> bool:
+        """Make an output with the commands of the last one; False if they do not serve the scene."""
+        device, scene, plan = self.simulator.device, self.scene, self.before.plan[0]
+        self._last = None  # its arrays are rewritten
+        if scene is self._repeated:
+            if not (self._plan_still_valid() and repeat.is_current):
+                return False
+            repeat.draw(device, numbers)
+            return True
+        self._repeated, is_begun, self._begun = None, scene is self._begun, None
+        if not (
+            (is_begun or self._begin_again(repeat, plan))
+            and self._plan_still_valid()
+            and repeat.is_current
+        ):
+            return False
+        repeat.finish(device, numbers)
+        if plan.scene is not scene or self.meters_late:
+            self.before.checked = ()
+            self._fetch_check(plan, repeat.results, repeat.seconds)
+        self._repeated = scene
+        return True
+
+    def _begin_again(self, repeat, plan) -> bool:
+        """Start the blur of the scene with the commands of the last output; False if they cannot serve it."""
+        scene, results = self.scene, repeat.results
+        is_checked = self._light in results and ("survey" in results or not plan.find(Watch))
+        is_whole = (is_checked or plan.scene is scene) and plan.find(Highlights) is None
+        return is_whole and not scene.layers and repeat.begin(self.simulator.device, scene.content)
+
+    def _note_output(self, name):
+        """Collect the commands of an output after several in a row with the same settings."""
+        seconds, values = self._exposure_time, self.values
+        if seconds is None:
+            seconds = self.simulator.camera.sensor.exposure_time
+        if (
+            seconds is None
+            or name == "irradiance"
+            or self._drafts
+            or self.simulator.strict
+            or self.simulator.device.kind == "numpy"
+        ):
+            return
+        now = name, *self._settings_of_repeat()
+        self._outputs = self._outputs + 1 if all(map(is_, now, self._noted)) else 1
+        self._noted = now
+        if self._outputs < self._patience:
+            return
+        self._outputs, self._patience = 0, min(2 * self._patience, MOST_PATIENCE)
+        measured = [other for other in (self._light, "survey") if values.known(other) is not None]
+        last = "codes at once" if name == "codes" and "codes at once" in values else name
+        try:
+            self._repeat = Repeat(values, "rates", [last, *measured], name, float(seconds))
+        except NotRepeatable:
+            return
+        self._repeat_of, self._repeated = now[1:], self.scene
 
     def raw(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return the raw values of one frame.

@@ -21,7 +21,8 @@ def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
     """Return the steps that measure the light.
 
     They make "metered" (exposure time [s] and gain for the electrons "per second"), "light" (statistics of the mean
-    electrons) and "survey" (the input of the plan's Watch for another scene).
+    electrons), "metered light" (with quantiles, for the next exposure) and "survey" (the input of the plan's Watch for
+    another scene).
     """
     device = readout.device
     automatic, content = sensor.auto_exposure, plan.content
@@ -32,11 +33,11 @@ def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
         constants={"automatic": automatic, "device": device},
         rate=Rate.EXPOSURE,
         work=float(prod(plan.scene.shape) * layers),
-        run=meter_light,
     )
     steps = [
-        look("light per second", inputs=("per second",)),
-        look("light", inputs=("mean",)),
+        look("light per second", inputs=("per second",), run=meter_light),
+        look("metered light", inputs=("mean",), run=meter_light),
+        look("light", inputs=("mean",), run=measure_light),
         Step(
             "metered",
             "",
@@ -82,9 +83,18 @@ def metering_numbers(sensor: Sensor, readout: Readout) -> dict:
 
 def meter_light(electrons: Any, *, automatic: AutoExposure, device) -> Any:
     """Return statistics of electrons (rows, cols) or (C, rows, cols), on the device: see `sensor.meter`."""
+    return _meter(electrons, automatic, automatic.fractions, device)
+
+
+def measure_light(electrons: Any, *, automatic: AutoExposure, device) -> Any:
+    """Return the same without quantiles, which take most of the time and only automatic exposure needs."""
+    return _meter(electrons, automatic, (), device)
+
+
+def _meter(electrons, automatic, fractions, device):
     shape = tuple(electrons.shape)
     flat = device.reshape(electrons, (prod(shape[:-1]), shape[-1]))
-    return meter(flat, *automatic.weights(shape), automatic.fractions, device=device)
+    return meter(flat, *automatic.weights(shape), fractions, device=device)
 
 
 def choose_exposure(

@@ -116,6 +116,7 @@ class Values:
         self._numbers: dict[str, Any] = {}
         self._known: dict[str, Any] = {}  # values that are up to date
         self._users: dict[str, set[str]] = {}  # outputs that depend directly on a value or number
+        self.version = 0  # how often a step may have run
 
     @classmethod
     def of(cls, steps: Iterable[Step], tables: Cache | None = None) -> "Values":
@@ -162,6 +163,35 @@ class Values:
             if user in self._known:
                 self.forget(user)
 
+    def dependents(self, *names: str) -> set[str]:
+        """Return the outputs of steps that depend on a value or number."""
+        found, new = set(), {*names}
+        while new:
+            new = {user for name in new for user in self._users.get(name, ())} - found
+            found |= new
+        return found
+
+    def given(self, name: str) -> Any:
+        """Return a value that was set, or None."""
+        return self._given.get(name)
+
+    def known(self, name: str) -> Any:
+        """Return a value that was computed, or None if it is out of date."""
+        return self._known.get(name)
+
+    def cache_of(self, step: Step) -> Cache:
+        """Return the cache of a step's results."""
+        return self._caches[step.rate]
+
+    @property
+    def are_own(self) -> bool:
+        """Whether no other values have rewritten the arrays since the last computation."""
+        return all(cache.user is self._token for cache in self._taped)
+
+    def forget_all(self) -> None:
+        """Mark all values as out of date."""
+        self._known.clear()
+
     def __getitem__(self, name: str) -> Any:
         for cache in self._taped:
             # other values may have rewritten the cache's arrays
@@ -189,6 +219,7 @@ class Values:
         if name in self._given or not name:
             return self._given[name] if name else None
         step = self.steps[name]
+        self.version += 1
         value = self._caches[step.rate].run(
             name,
             step.run,
