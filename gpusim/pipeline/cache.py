@@ -151,9 +151,11 @@ class Cache:
         return None if found is None else found[2]
 
     def expire(self, name: str) -> None:
-        """Forget for which arguments a result was computed; its arrays and its tape stay."""
-        _, value, tape = self._entries[name]
-        self._entries[name] = (None, (), {}, {}), value, tape
+        """Forget for which arguments a result was computed: something else rewrites its arrays."""
+        key, value, tape = self._entries[name]
+        if key[0] is not None:
+            self._entries[name] = (None, (), {}, {}), value, tape
+        self._set_versions(name, value, value)
 
     def host_accesses(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
         """Return results whose last computation did not only start kernels.

@@ -328,9 +328,12 @@ class Loop:
     def _usable_plan(self):
         """Return the existing plan if it serves this scene and camera, else None."""
         plan, by = self.before.plan or (None, None)
+        if plan is None:
+            return None
         scene, settings = self.scene, (plan, by, self.simulator.camera, self._exposure_time)
         served, *known = self._served
-        if plan is None or (scene is not served and plan.scene is not scene and not plan.serves(scene)):
+        is_known = plan is known[0] and scene is served
+        if not (is_known or plan.scene is scene or plan.serves(scene)):
             return None
         if not all(map(is_, settings, known)) and (
             self._needs_other_plan() or not plan.lasts(self._exposure_time)

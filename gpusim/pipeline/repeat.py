@@ -49,6 +49,7 @@ class Repeat:
         self._begins: list[Tape] = []
         self._finishes: list[Tape] = []
         self._draws: list[Tape] = []
+        self._drawn: list[tuple[Cache, str]] = []  # that the draws rewrite
         in_first = {step.output for step in steps_needed(steps, [first])}
         self._known: dict[str, Any] = {"content": values.given("content")}
         for step in steps_needed(steps, [first, *names]):
@@ -59,17 +60,19 @@ class Repeat:
             tape = cache.tape_of(step.output)
             if step.rate.name == "CAMERA" or tape is None or not tape.is_replayable:
                 raise NotRepeatable(step.output)
-            self._entries.append((cache, step.output))
             if not tape.commands:
                 if step.output in by_frame:
                     raise NotRepeatable(step.output)
                 self._host.append(step)
-            elif step.output in in_first:
+                continue
+            self._entries.append((cache, step.output))
+            if step.output in in_first:
                 self._begins.append(tape)
             else:
                 self._finishes.append(tape)
                 if step.output in by_frame:
                     self._draws.append(tape)
+                    self._drawn.append(self._entries[-1])
         passed = {
             id(one.value)
             for step in self._host
@@ -89,7 +92,7 @@ class Repeat:
 
     def begin(self, device: Device, content: Any) -> bool:
         """Start the commands up to the first value for another content; False if they cannot serve it."""
-        self._expire()
+        self._expire(self._entries)
         changed, pairs = {"content": content}, []
         for step in self._host:
             if not any(name in changed for name in step.inputs):
@@ -118,7 +121,7 @@ class Repeat:
 
     def draw(self, device: Device, numbers: Mapping[str, int]) -> None:
         """Start only the commands that depend on the numbers of the frame."""
-        self._expire()
+        self._expire(self._entries if self._is_first else self._drawn)
         self._start(device, self._draws, numbers)
 
     def _start(self, device, tapes, numbers):
@@ -126,13 +129,13 @@ class Repeat:
             tape.renumber(numbers)
         _start(device, tapes)
 
-    def _expire(self):
-        """Let the caches forget for which arguments their results were computed."""
+    def _expire(self, entries):
+        """Let the caches know that something else rewrites their arrays."""
         if self._is_first:
             self._is_first = False
             self._values.forget_all()
-            for cache, name in self._entries:
-                cache.expire(name)
+        for cache, name in entries:
+            cache.expire(name)
 
 
 class NotRepeatable(Exception):
