@@ -635,15 +635,9 @@ class Loop:
         return repeat if is_usable else None
 
     def _settings_of_repeat(self):
-        """Return the objects that an output depends on, except the scene's samples and the numbers of the frame."""
-        view, plan = self.scene.view, self.before.plan
-        return (
-            self.simulator,
-            self._exposure_time,
-            self._gain,
-            plan and plan[0],
-            None if view.is_plain else view,
-        )
+        """Return the objects that an output depends on, except the scene and the numbers of the frame."""
+        plan = self.before.plan
+        return self.simulator, self._exposure_time, self._gain, plan and plan[0]
 
     def _start_again(self, repeat, numbers) -> bool:
         """Make an output with the commands of the last one; False if they do not serve the scene."""
@@ -673,7 +667,11 @@ class Loop:
         scene, results = self.scene, repeat.results
         is_checked = self._light in results and ("survey" in results or not plan.find(Watch))
         is_whole = (is_checked or plan.scene is scene) and plan.find(Highlights) is None
-        return is_whole and not scene.layers and repeat.begin(self.simulator.device, scene.content)
+        return (
+            is_whole
+            and not scene.layers
+            and repeat.begin(self.simulator.device, {"content": scene.content, "view": scene.view})
+        )
 
     def _note_output(self, name):
         """Collect the commands of an output after several in a row with the same settings."""

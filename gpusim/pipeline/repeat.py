@@ -8,6 +8,7 @@ from gpusim.backends.tape import Tape
 from gpusim.pipeline.cache import OTHER, Cache, compare, ones
 from gpusim.pipeline.step import Step, Values, steps_needed
 
+SCENE = ("content", "view")  # values that a scene sets
 FRAME = ("seed", "frame")  # numbers of a frame
 PATIENCE = (
     3  # outputs in a row that differ only in scene and frame, before their commands are collected
@@ -43,15 +44,15 @@ class Repeat:
         self.output, self.seconds = output, seconds
         self._values, self._version = values, values.version
         self._entries: list[tuple[Cache, str]] = []  # that the commands rewrite
-        self._host: list[Step] = []  # without commands: they pass on arrays of the content
+        self._host: list[Step] = []  # without commands: they pass on or upload arrays of the scene
         steps = values.steps.values()
-        by_scene, by_frame = values.dependents("content"), values.dependents(*FRAME)
+        by_scene, by_frame = values.dependents(*SCENE), values.dependents(*FRAME)
         self._begins: list[Tape] = []
         self._finishes: list[Tape] = []
         self._draws: list[Tape] = []
         self._drawn: list[tuple[Cache, str]] = []  # that the draws rewrite
         in_first = {step.output for step in steps_needed(steps, [first])}
-        self._known: dict[str, Any] = {"content": values.given("content")}
+        self._known: dict[str, Any] = {name: values.given(name) for name in SCENE}
         for step in steps_needed(steps, [first, *names]):
             self._known[step.output] = values.known(step.output)
             if step.output not in by_scene | by_frame:
@@ -90,10 +91,11 @@ class Repeat:
         """Whether nothing else has used the arrays since."""
         return self._version == self._values.version and self._values.are_own
 
-    def begin(self, device: Device, content: Any) -> bool:
-        """Start the commands up to the first value for another content; False if they cannot serve it."""
+    def begin(self, device: Device, scene: Mapping[str, Any]) -> bool:
+        """Start the commands up to the first value for other values of SCENE; False if they cannot serve them."""
         self._expire(self._entries)
-        changed, pairs = {"content": content}, []
+        changed = {name: value for name, value in scene.items() if value is not self._known[name]}
+        pairs = []
         for step in self._host:
             if not any(name in changed for name in step.inputs):
                 continue
