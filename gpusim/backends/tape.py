@@ -105,6 +105,10 @@ class Tape:
                 kept.append((request, found))
         self._requests, self._at = kept, len(kept)
 
+    def forget(self):
+        """Forget all requests: something else writes to the recorded arrays."""
+        self._requests.clear()
+
     def end(self):
         """Keep the arrays that are in use at the end: results, and arguments of kernels that may not have ended."""
         for request, found in self._requests if self.is_loose else ():
@@ -358,6 +362,10 @@ class Taped(Device):
         start = first * int(np.prod(array.shape[1:]))
         self._start_copy(result, array, int(np.prod(shape)), start, 0)
         return result
+
+    def copy(self, target, source):
+        """Copy the values of an array to another one of the same shape and type, in turn with launches."""
+        self._start_copy(target, source, int(np.prod(source.shape)), 0, 0)
 
     @refusable(of_values)
     def _start_copy(self, target, source, count, start, to):

@@ -155,6 +155,8 @@ class Cache:
         key, value, tape = self._entries[name]
         if key[0] is not None:
             self._entries[name] = (None, (), {}, {}), value, tape
+            if tape is not None and not tape.commands:
+                tape.forget()  # its constants may be written to, too
         self._set_versions(name, value, value)
 
     def host_accesses(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:

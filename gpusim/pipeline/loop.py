@@ -230,6 +230,7 @@ class Loop:
         self._repeat_of: tuple = ()  # settings that they are for
         self._repeated: Scene | None = None  # the scene whose light their arrays hold
         self._begun: Scene | None = None  # the scene whose blur they have started
+        self._checked: Content | None = None  # the content that was measured last
         self._outputs, self._noted = (
             0,
             (None,),
@@ -656,8 +657,8 @@ class Loop:
         ):
             return False
         repeat.finish(device, numbers)
-        if plan.scene is not scene or self.meters_late:
-            self.before.checked = ()
+        if self._needs_check(plan):
+            self.before.checked, self._checked = (), scene.content
             self._fetch_check(plan, repeat.results, repeat.seconds)
         self._repeated = scene
         return True
@@ -665,13 +666,18 @@ class Loop:
     def _begin_again(self, repeat, plan) -> bool:
         """Start the blur of the scene with the commands of the last output; False if they cannot serve it."""
         scene, results = self.scene, repeat.results
-        is_checked = self._light in results and ("survey" in results or not plan.find(Watch))
-        is_whole = (is_checked or plan.scene is scene) and plan.find(Highlights) is None
+        is_measured = self._light in results and ("survey" in results or not plan.find(Watch))
         return (
-            is_whole
+            (is_measured or not self._needs_check(plan))
+            and plan.find(Highlights) is None
             and not scene.layers
             and repeat.begin(self.simulator.device, {"content": scene.content, "view": scene.view})
         )
+
+    def _needs_check(self, plan):
+        """Return True if the statistics of the scene are needed: views of one content have the same survey."""
+        is_new = plan.scene is not self.scene and self.scene.content is not self._checked
+        return is_new or self.meters_late
 
     def _note_output(self, name):
         """Collect the commands of an output after several in a row with the same settings."""
@@ -699,6 +705,7 @@ class Loop:
         except NotRepeatable:
             return
         self._repeat_of, self._repeated = now[1:], self.scene
+        self._checked = self.scene.content
 
     def raw(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return the raw values of one frame.

@@ -1,32 +1,34 @@
 """An output for another scene: the commands of the last frame start again, without the host code of their steps."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from gpusim.backends import Device
 from gpusim.backends.tape import Tape
 from gpusim.pipeline.cache import OTHER, Cache, compare, ones
-from gpusim.pipeline.step import Step, Values, steps_needed
+from gpusim.pipeline.step import Rate, Step, Values, steps_needed
 
 SCENE = ("content", "view")  # values that a scene sets
 FRAME = ("seed", "frame")  # numbers of a frame
-PATIENCE = (
-    3  # outputs in a row that differ only in scene and frame, before their commands are collected
-)
+PATIENCE = 3  # outputs in a row with the same settings, before their commands are collected
 MOST_PATIENCE = 96
 
 
-class Repeat:
-    """The commands of one output, to make it for scenes of one kind and for other frames.
+class NotRepeatable(Exception):
+    """A step does more than start commands."""
 
-    The steps' functions would start the same commands with the same numbers, so the bits are the same. The values'
-    caches no longer know what their arrays hold: values that are asked for by name are computed again, and this object
-    is then out of date.
+
+class Repeat:
+    """The commands of one output, to make it for other scenes of the same kind and for other frames.
+
+    The steps' functions would start the same commands with the same numbers, so the bits are the same. Their caches
+    forget for which scene they were computed: a value that is asked for by name is computed again, and this object is
+    then out of date.
 
     Args:
         values: Values of which the output was just computed.
-        first: Value that is started by `begin`.
-        names: Other values that are started by `finish`; the first is the output.
+        first: Value that `begin` makes.
+        names: Other values; `finish` makes them. The first is the output.
         output: Name of the output.
         seconds: Exposure time [s].
 
@@ -35,7 +37,7 @@ class Repeat:
         result: The output.
 
     Raises:
-        NotRepeatable: A step reads on the host, or works there with more than arrays.
+        NotRepeatable: A step reads on the host, or works there with the numbers of the frame.
     """
 
     def __init__(
@@ -43,48 +45,45 @@ class Repeat:
     ):
         self.output, self.seconds = output, seconds
         self._values, self._version = values, values.version
-        self._entries: list[tuple[Cache, str]] = []  # that the commands rewrite
-        self._host: list[Step] = []  # without commands: they pass on or upload arrays of the scene
+        self._users = {name: values.dependents(name) for name in SCENE}
+        by_frame = values.dependents(*FRAME)
+        changing = set().union(by_frame, *self._users.values())
         steps = values.steps.values()
-        by_scene, by_frame = values.dependents(*SCENE), values.dependents(*FRAME)
-        self._begins: list[Tape] = []
-        self._finishes: list[Tape] = []
-        self._draws: list[Tape] = []
-        self._drawn: list[tuple[Cache, str]] = []  # that the draws rewrite
-        in_first = {step.output for step in steps_needed(steps, [first])}
+        before = {step.output for step in steps_needed(steps, [first])}
         self._known: dict[str, Any] = {name: values.given(name) for name in SCENE}
+        self._rewritten: list[tuple[Cache, str]] = []
+        self._host: list[Step] = []  # without commands: they pass on or upload arrays of the scene
+        self._tapes: list[tuple[str, Tape]] = []
         for step in steps_needed(steps, [first, *names]):
-            self._known[step.output] = values.known(step.output)
-            if step.output not in by_scene | by_frame:
+            name = step.output
+            self._known[name] = values.known(name)
+            if name not in changing:
                 continue
             cache = values.cache_of(step)
-            tape = cache.tape_of(step.output)
-            if step.rate.name == "CAMERA" or tape is None or not tape.is_replayable:
-                raise NotRepeatable(step.output)
-            if not tape.commands:
-                if step.output in by_frame:
-                    raise NotRepeatable(step.output)
-                self._host.append(step)
-                continue
-            self._entries.append((cache, step.output))
-            if step.output in in_first:
-                self._begins.append(tape)
+            tape = cache.tape_of(name)
+            if step.rate == Rate.CAMERA or tape is None or not tape.is_replayable:
+                raise NotRepeatable(name)
+            if tape.commands:
+                self._tapes.append((name, tape))
+            elif name in by_frame:
+                raise NotRepeatable(name)
             else:
-                self._finishes.append(tape)
-                if step.output in by_frame:
-                    self._draws.append(tape)
-                    self._drawn.append(self._entries[-1])
+                self._host.append(step)
+            if tape.commands or name not in self._users["content"]:
+                self._rewritten.append((cache, name))
+        self._begins = [name for name, _ in self._tapes if name in before]
+        self._drawn = [name for name, _ in self._tapes if name in by_frame]
         passed = {
             id(one.value)
             for step in self._host
             for one in ones(values.cache_of(step).with_versions((self._known[step.output],)))
         }
-        self._takers = [
-            tape for tape in (*self._begins, *self._finishes) if not tape.used.isdisjoint(passed)
-        ]
+        self._takers = [tape for _, tape in self._tapes if not tape.used.isdisjoint(passed)]
+        self._commands: dict[tuple, list] = {}  # by the names of their results
+        self._touched: set[str] = set()  # by the scene that was begun
+        self._is_first = True
         self.results = {name: self._known[name] for name in (first, *names)}
         self.result = self.results[names[0]]
-        self._is_first = True
 
     @property
     def is_current(self) -> bool:
@@ -92,10 +91,11 @@ class Repeat:
         return self._version == self._values.version and self._values.are_own
 
     def begin(self, device: Device, scene: Mapping[str, Any]) -> bool:
-        """Start the commands up to the first value for other values of SCENE; False if they cannot serve them."""
-        self._expire(self._entries)
+        """Make the first value for other values of SCENE; False if the commands cannot serve them."""
+        self._expire()
         changed = {name: value for name, value in scene.items() if value is not self._known[name]}
-        pairs = []
+        self._touched = set().union(*(self._users[name] for name in changed))
+        passed = []
         for step in self._host:
             if not any(name in changed for name in step.inputs):
                 continue
@@ -105,46 +105,53 @@ class Repeat:
             keys = cache.with_versions((old,)), cache.with_versions((new,))
             if compare(*keys) == OTHER:
                 return False
-            changed[step.output] = new
-            pairs += [
+            pairs = [
                 (own.value, its.value)
-                for own, its in zip(ones(keys[0]), ones(keys[1]), strict=True)
+                for own, its in zip(*map(ones, keys), strict=True)
                 if own.value is not its.value
             ]
-        if not all(tape.exchange(pairs) for tape in self._takers):
+            if step.output in self._users["content"]:
+                changed[step.output] = new
+                passed += pairs
+            else:  # kernels may use it in another form
+                for target, source in pairs:
+                    device.copy(target, source)
+        if passed and not all(tape.exchange(passed) for tape in self._takers):
             return False
         self._known |= changed
-        _start(device, self._begins)
+        self._start(device, [name for name in self._begins if name in self._touched])
         return True
 
     def finish(self, device: Device, numbers: Mapping[str, int]) -> None:
-        """Start the other commands."""
-        self._start(device, self._finishes, numbers)
+        """Make the other values for the numbers of a frame."""
+        self._renumber(numbers)
+        names = self._touched.union(self._drawn).difference(self._begins)
+        self._start(device, (name for name, _ in self._tapes if name in names))
 
     def draw(self, device: Device, numbers: Mapping[str, int]) -> None:
-        """Start only the commands that depend on the numbers of the frame."""
-        self._expire(self._entries if self._is_first else self._drawn)
-        self._start(device, self._draws, numbers)
+        """Make the values again that depend on the numbers of the frame."""
+        self._expire()
+        self._renumber(numbers)
+        self._start(device, self._drawn)
 
-    def _start(self, device, tapes, numbers):
-        for tape in self._draws:
-            tape.renumber(numbers)
-        _start(device, tapes)
+    def _renumber(self, numbers):
+        for name, tape in self._tapes:
+            if name in self._drawn:
+                tape.renumber(numbers)
 
-    def _expire(self, entries):
+    def _start(self, device, names: Iterable[str]):
+        """Start the commands that make values."""
+        names = tuple(names)
+        if names not in self._commands:
+            tapes = dict(self._tapes)
+            self._commands[names] = [each for name in names for each in tapes[name].commands]
+        if self._commands[names]:
+            device.start(self._commands[names])
+
+    def _expire(self):
         """Let the caches know that something else rewrites their arrays."""
         if self._is_first:
             self._is_first = False
             self._values.forget_all()
-        for cache, name in entries:
+        for cache, name in self._rewritten:
             cache.expire(name)
-
-
-class NotRepeatable(Exception):
-    """A step that does more than start commands."""
-
-
-def _start(device, tapes):
-    commands = [command for tape in tapes for command in tape.commands]
-    if commands:
-        device.start(commands)
