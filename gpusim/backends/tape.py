@@ -142,16 +142,21 @@ class Tape:
         arguments, not the array itself.
         """
         news = {id(old): new for old, new in others}
-        if any(news[id(old)] is not new for old, new in others):  # two for one
-            return False
+        if len(news) < len(others) and any(news[id(old)] is not new for old, new in others):
+            return False  # two for one
         if any(id(array) in news for array in self.viewed):
             return False
-        used = {id(arg) for command in self.commands for arg in command.args}
-        if not news.keys() <= used:
-            return False
+        used = set()
+        users = []
         for command in self.commands:
-            if any(id(arg) in news for arg in command.args):
-                command.set(tuple(news.get(id(arg), arg) for arg in command.args))
+            own = news.keys() & map(id, command.args)
+            if own:
+                used |= own
+                users.append(command)
+        if len(used) < len(news):
+            return False
+        for command in users:
+            command.set(tuple([news.get(id(arg), arg) for arg in command.args]))
         return True
 
     def exchange(self, others) -> bool:
