@@ -810,11 +810,14 @@ class Loop:
             return plan
         probing = self.before.probing
         found = probing.annotate(plan, self.scene, self._drift)
-        if found.meets(exposure.exposure_time) or probing.are_of_last:
+        seconds = exposure.exposure_time
+        if found.meets(seconds) or probing.are_of_last or not probing.is_doubted():
             return found
         # an earlier scene may have had larger errors
         account = self._probe(plan, self._exposure_time)
-        return dataclasses.replace(plan.of(self.scene, None, account), probed="from this scene")
+        own = dataclasses.replace(plan.of(self.scene, None, account), probed="from this scene")
+        probing.confirm(own.meets(seconds))
+        return own
 
     def _predict_given(self):
         """Return the given plan, with the errors predicted for the scene."""

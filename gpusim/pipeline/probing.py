@@ -51,6 +51,8 @@ class Probing:
         self._highest: tuple[float, ...] | None = None
         self._awaited: Scene | None = None  # the probed scene, until its survey arrives
         self._name = ""
+        # outputs "not met" by the errors of earlier scenes since the last own probes, and before the next
+        self._doubted, self._doubts = 0, 1
 
     def least(self, scene: Scene) -> int:
         """Return the minimum number of planes of a plan for the scene."""
@@ -81,6 +83,19 @@ class Probing:
     def are_of_last(self) -> bool:
         """Whether the last scene was probed."""
         return self._account is not None and not self._since
+
+    def is_doubted(self) -> bool:
+        """Return True if a scene that is "not met" by the errors of earlier scenes must be probed itself.
+
+        Each time that its own errors confirm that, the interval to the next such probe becomes about three times
+        longer.
+        """
+        self._doubted += 1
+        return self._doubted >= self._doubts
+
+    def confirm(self, is_met: bool):
+        """Take the verdict of a scene's own probes, which an earlier scene's errors had called "not met"."""
+        self._doubted, self._doubts = 0, 1 if is_met else TIMES * self._doubts + 1
 
     def is_due(self, plan: Plan, scene: Scene) -> bool:
         """Return True if a scene must be probed. Each scene counts once.
