@@ -10,7 +10,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, GpusimError, checked_count
-from gpusim.domain.memory import CPU, dlpack_kind, is_array, to_host
+from gpusim.domain.memory import CPU, Pinned, dlpack_kind, is_array, to_host
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.pipeline.loop import Loop, SharedOptics, checked_capture, checked_output
 from gpusim.planner.plan import Plan
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from gpusim.pipeline.simulator import Simulator
 
 SLOTS = 2  # one is read while the other is written
+COPIERS = 4  # threads that copy to pinned memory: together they reach the rate of the bus
+PARALLEL = 1 << 20  # [byte] that several threads copy
 
 
 class Stream(Iterator):
@@ -136,8 +138,9 @@ def _upload_scenes(
     earlier: _Upload | None = None
     end: Exception | None = None
     number = 0
-    # a driver copies from memory that is not pinned itself: each of several devices has a thread for it
-    pools = [ThreadPoolExecutor(1) if len(devices) > 1 else None for _ in devices]
+    # each device has a thread that sends, and all share threads that copy to pinned memory
+    pools = [ThreadPoolExecutor(1) for _ in devices]
+    copiers = ThreadPoolExecutor(COPIERS)
     try:
         while True:
             if earlier is not None:
@@ -146,7 +149,8 @@ def _upload_scenes(
                 turn, place = number % len(devices), number // len(devices) % SLOTS
                 try:
                     scene = next(scenes)
-                    sent.append(_Upload(devices[turn], scene, slots[turn][place], pools[turn]))
+                    pair = pools[turn], copiers
+                    sent.append(_Upload(devices[turn], scene, slots[turn][place], *pair))
                 except Exception as error:
                     end = error
                 number += 1
@@ -161,19 +165,25 @@ def _upload_scenes(
             if one is not None:
                 with suppress(GpusimError):  # raised by `scene`
                     one.wait()
-        for pool in pools:
-            if pool is not None:
-                pool.shutdown()
+        for pool in (*pools, copiers):
+            pool.shutdown()
 
 
 class _Upload:
     """A scene on its way to a device.
 
-    slot: device arrays that it overwrites, by name. Nothing that is launched from now on reads them. pool: a thread
-    that sends; None: this one.
+    slot: memory that it overwrites, by name: device arrays, which nothing that is launched from now on reads, and
+    pinned memory. pool: a thread that sends. copiers: threads that copy to pinned memory.
     """
 
-    def __init__(self, device, scene: Scene, slot: dict, pool: ThreadPoolExecutor | None = None):
+    def __init__(
+        self,
+        device: Device,
+        scene: Scene,
+        slot: dict,
+        pool: ThreadPoolExecutor,
+        copiers: ThreadPoolExecutor,
+    ):
         self._scene, content = scene, scene.content
         given = {name: getattr(content, name) for name in content.samples}
         coming = {  # the others are already there
@@ -181,13 +191,12 @@ class _Upload:
             for name, values in given.items()
             if isinstance(values, np.ndarray) or dlpack_kind(values) == CPU[0]
         }
-        asked = (device, content, coming, slot, device.mark() if coming else None)
-        self._transfers: Callable[[], dict]
-        if pool is None or not coming:
-            transfers = _send(*asked)
-            self._transfers = lambda: transfers
-        else:
-            self._transfers = pool.submit(_send, *asked).result
+        self._transfers: Callable[[], dict] = dict
+        if coming:
+            mark = device.mark()  # behind it the arrays of the slot may be written to
+            self._transfers = pool.submit(
+                _send, device, content, coming, slot, mark, copiers
+            ).result
 
     def scene(self) -> Scene:
         """Return the scene. Later launches wait for its upload."""
@@ -200,20 +209,35 @@ class _Upload:
             transfer.wait()
 
 
-def _send(device, content, samples: dict, slot: dict, after) -> dict:
-    """Return the transfers of samples by name.
-
-    after: mark in the device's work behind which the arrays of the slot may be written to.
-    """
+def _send(device, content, samples: dict, slot: dict, mark, copiers) -> dict:
+    """Return the transfers of samples by name."""
     transfers = {}
     for name, values in samples.items():
         kind = content.stored_type(name)
         if not isinstance(values, np.ndarray):
             values = to_host(values, content.form)
-        values = np.ascontiguousarray(values, kind)
-        target = slot.get((name, kind))
-        if target is not None and tuple(target.shape) != values.shape:
-            target = None
-        transfers[name] = device.send(values, target, after)
-        slot[name, kind] = transfers[name].array
+        target, staged, last = slot.get((name, kind)) or (None, None, None)
+        if last is not None and tuple(last.array.shape) != values.shape:
+            target = staged = None
+        if not (isinstance(values, Pinned) and values.dtype == kind and values.flags.c_contiguous):
+            if last is not None:
+                last.wait()  # it reads from there
+            staged = device.pinned(values.shape, kind) if staged is None else staged
+            _copy(staged, values, copiers)
+            values = staged
+        transfers[name] = device.send(values, target, mark)
+        slot[name, kind] = transfers[name].array, staged, transfers[name]
     return transfers
+
+
+def _copy(target: np.ndarray, values: np.ndarray, copiers: ThreadPoolExecutor):
+    """Copy values by several threads, each a part of the longest axis."""
+    axis = int(np.argmax(target.shape)) if target.ndim else 0
+    if target.nbytes < PARALLEL:
+        np.copyto(target, values, casting="unsafe")
+        return
+    pairs = zip(
+        *(np.array_split(array, COPIERS, axis=axis) for array in (target, values)), strict=True
+    )
+    for done in [copiers.submit(np.copyto, *pair, casting="unsafe") for pair in pairs]:
+        done.result()
