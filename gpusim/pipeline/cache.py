@@ -129,7 +129,7 @@ class Cache:
         if kind is tuple or kind is list:
             return tuple([self.with_versions(part) for part in value])
         if isinstance(value, self._array_type):
-            return One(value, getattr(value, _WRITER, NOBODY)[1])
+            return One(value, version_of(value))
         return value
 
     @staticmethod
@@ -191,6 +191,11 @@ class Cache:
 
     def __reduce__(self):
         return Cache, (self._device,)  # empty
+
+
+def version_of(array: Any) -> int:
+    """Return the version of a device array's contents; 0: no step has rewritten them."""
+    return getattr(array, _WRITER, NOBODY)[1]
 
 
 def _require_pure(name, function):

@@ -5,7 +5,7 @@ from typing import Any
 
 from gpusim.backends import Device
 from gpusim.backends.tape import Tape
-from gpusim.pipeline.cache import OTHER, Cache, compare, ones
+from gpusim.pipeline.cache import OTHER, Cache, One, compare, ones, version_of
 from gpusim.pipeline.step import Rate, Step, Values, steps_needed
 
 SCENE = ("content", "view")  # values that a scene sets
@@ -51,19 +51,23 @@ class Repeat:
         steps = values.steps.values()
         before = {step.output for step in steps_needed(steps, [first])}
         self._known: dict[str, Any] = {name: values.given(name) for name in SCENE}
+        self._inputs: list[One] = []  # arrays that stay
         self._rewritten: list[tuple[Cache, str]] = []
         self._host: list[Step] = []  # without commands: they pass on or upload arrays of the scene
         self._tapes: list[tuple[str, Tape]] = []
         for step in steps_needed(steps, [first, *names]):
             name = step.output
             self._known[name] = values.known(name)
-            if name not in changing:
-                continue
             cache = values.cache_of(step)
+            if name not in changing:
+                self._inputs += ones(cache.with_versions((self._known[name],)))
+                continue
             tape = cache.tape_of(name)
             if step.rate == Rate.CAMERA or tape is None or not tape.is_replayable:
                 raise NotRepeatable(name)
             if tape.commands:
+                if any(given in SCENE for given in step.inputs):
+                    raise NotRepeatable(name)  # it takes more of the scene than arrays
                 self._tapes.append((name, tape))
             elif name in by_frame:
                 raise NotRepeatable(name)
@@ -79,6 +83,7 @@ class Repeat:
             for one in ones(values.cache_of(step).with_versions((self._known[step.output],)))
         }
         self._takers = [tape for _, tape in self._tapes if not tape.used.isdisjoint(passed)]
+        self._caches = list(dict.fromkeys(cache for cache, _ in self._rewritten))
         self._commands: dict[tuple, list] = {}  # by the names of their results
         self._touched: set[str] = set()  # by the scene that was begun
         self._is_first = True
@@ -88,7 +93,11 @@ class Repeat:
     @property
     def is_current(self) -> bool:
         """Whether nothing else has used the arrays since."""
-        return self._version == self._values.version and self._values.are_own
+        return (
+            self._version == self._values.version
+            and all(self._values.owns(cache) for cache in self._caches)
+            and all(one.version == version_of(one.value) for one in self._inputs)
+        )
 
     def begin(self, device: Device, scene: Mapping[str, Any]) -> bool:
         """Make the first value for other values of SCENE; False if the commands cannot serve them."""

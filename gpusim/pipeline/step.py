@@ -183,10 +183,9 @@ class Values:
         """Return the cache of a step's results."""
         return self._caches[step.rate]
 
-    @property
-    def are_own(self) -> bool:
-        """Whether no other values have rewritten the arrays since the last computation."""
-        return all(cache.user is self._token for cache in self._taped)
+    def owns(self, cache: Cache) -> bool:
+        """Return True if no other values have rewritten the cache's arrays since the last computation."""
+        return not cache.is_taped or cache.user is self._token
 
     def forget_all(self) -> None:
         """Mark all values as out of date."""

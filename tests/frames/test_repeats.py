@@ -1,0 +1,128 @@
+"""Loops whose frames differ only in scene and frame start the last commands again: bits are those of a new loop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from devices import KINDS
+
+import gpusim as gs
+from gpusim.domain.errors import BadData
+from gpusim.domain.scene import View
+
+ROWS, COLS, SECONDS = 30, 44, 0.01
+
+
+def scenes(kind):
+    """Five scenes that one plan serves."""
+    chart, random = gs.chart("deadleaves", size=(COLS, ROWS)), np.random.default_rng(3)
+    if kind == "cube":
+        bands = chart.content.bands_at(slice(None)).astype(np.float32)
+        made = [gs.Cube(chart.wavelengths, bands * np.float32(1 + 0.1 * k)) for k in range(5)]
+        return [replace(chart, content=one) for one in made]
+    if kind == "materials":
+        content = chart.content
+        shading = [np.float32(1 - 0.1 * k) * content.shading for k in range(5)]
+        return [replace(chart, content=replace(content, shading=one)) for one in shading]
+    if kind == "picture":
+        codes = random.integers(0, 256, (5, ROWS, COLS, 3), np.uint8)
+        return [gs.picture(one) for one in codes]
+    moves = [View(shift=(0.3 * k, 0.7 - 0.2 * k), rotation=0.01 * k) for k in range(5)]
+    if kind == "zooms":
+        moves = [replace(view, zoom=1 + 0.01 * k) for k, view in enumerate(moves)]
+    return [replace(chart, view=view) for view in moves]
+
+
+def open_phone(device, tolerance=4e-4):
+    """Return a simulator whose blur is made by kernels only."""
+    return gs.Simulator(gs.open_camera("phone"), device=device, tolerance=tolerance)
+
+
+def host(simulator, array):
+    return np.array(simulator.device.numpy(array))
+
+
+@pytest.mark.parametrize("kind", ["cube", "materials", "picture", "views", "zooms"])
+@pytest.mark.parametrize("output", ["raw", "codes", "mean"])
+@pytest.mark.parametrize("device", KINDS)
+def test_a_frame_that_repeats_the_last_has_the_bits_of_a_new_loop(kind, output, device):
+    simulator, given = open_phone(device), scenes(kind)
+    plan = simulator.plan(given[0])
+    loop, order = simulator.loop(given[0], SECONDS, plan=plan), (0, 1, 2, 3, 4, 4, 1, 1, 0, 2, 0)
+    started = 0
+    for number, which in enumerate(order):
+        loop.update(scene=given[which])
+        found = host(simulator, loop.output(output, seed=7, first=number))
+        started += loop._repeat is not None and loop._repeat.is_current
+        one = simulator.loop(given[which], SECONDS, plan=plan)
+        np.testing.assert_array_equal(
+            found, host(simulator, one.output(output, seed=7, first=number)), f"frame {number}"
+        )
+    # kernels take the codes of a picture from its content, and a zoom as a number
+    assert started >= {"picture": 0, "zooms": 1}.get(kind, 8)
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_what_is_asked_for_after_a_repeated_frame_is_that_scene_s(device):
+    """Other outputs, exposures and frames between repeated outputs; each is compared with a new loop."""
+    simulator, given = open_phone(device), scenes("cube")
+    plan = simulator.plan(given[0])
+    loop = simulator.loop(given[0], SECONDS, plan=plan)
+    for number, which in enumerate((0, 1, 2, 3, 4, 0, 3, 1, 2)):
+        scene = given[which]
+        loop.update(scene=scene).raw(first=number)
+        if number < 4:
+            continue
+        one = simulator.loop(scene, SECONDS, plan=plan)
+        if number % 2:
+            mean, wanted = loop.exposure.mean, one.exposure.mean
+        else:
+            mean, wanted = loop.codes(first=number), one.codes(first=number)
+        np.testing.assert_array_equal(host(simulator, mean), host(simulator, wanted))
+        found, wanted = (host(simulator, each.raw(first=number)) for each in (loop, one))
+        np.testing.assert_array_equal(found, wanted)
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_first_scene_again_is_not_taken_for_the_last(device):
+    """The caches hold keys of the frames before the repeated ones: these must not count as equal."""
+    simulator, given = open_phone(device), scenes("cube")
+    plan = simulator.plan(given[0])
+    loop = simulator.loop(given[0], SECONDS, plan=plan)
+    for number, which in enumerate((1, 2, 0, 3, 4)):  # the third is collected, two are repeated
+        loop.update(scene=given[which]).raw(first=number)
+    found = host(simulator, loop.update(scene=given[0]).codes(first=9))
+    wanted = simulator.loop(given[0], SECONDS, plan=plan).codes(first=9)
+    np.testing.assert_array_equal(found, host(simulator, wanted))
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_repeated_scenes_are_measured(device):
+    """Light that is not finite is found in the next frame, and a scene that needs more planes gets them."""
+    simulator, given = open_phone(device, 1e-4), scenes("cube")
+    loop = simulator.loop(given[0], SECONDS)
+    for number in range(12):
+        loop.update(scene=given[number % 5]).raw(first=number)
+    assert loop._repeat is not None and loop._repeat.is_current
+    bands = np.array(given[0].content.planes)
+    bands[3, 5, 6] = np.nan
+    pinned = simulator.device.pinned(bands.shape)  # its values are checked by the device only
+    pinned[...] = bands
+    loop.update(scene=replace(given[0], content=gs.Cube(given[0].wavelengths, pinned))).raw()
+    with pytest.raises(BadData, match="NaN or infinite"):
+        loop.update(scene=given[1]).raw()
+    found = host(simulator, loop.update(scene=given[2]).raw(first=3))
+    assert np.isfinite(found).all()
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_each_fixed_exposure_has_its_own_commands(device):
+    simulator, given = open_phone(device), scenes("cube")
+    plan = simulator.plan(given[0])
+    loop = simulator.loop(given[0], SECONDS, plan=plan)
+    for number in range(14):
+        seconds = SECONDS if number < 7 else 2 * SECONDS
+        scene = given[number % 5]
+        found = loop.update(scene=scene, exposure_time=seconds).raw(first=number)
+        wanted = simulator.loop(scene, seconds, plan=plan).raw(first=number)
+        np.testing.assert_array_equal(host(simulator, found), host(simulator, wanted))
