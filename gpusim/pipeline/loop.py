@@ -811,7 +811,7 @@ class Loop:
         probing = self.before.probing
         found = probing.annotate(plan, self.scene, self._drift)
         seconds = exposure.exposure_time
-        if found.meets(seconds) or probing.are_of_last or not probing.is_doubted():
+        if found.meets(seconds) or not probing.is_doubted(plan, self.scene):
             return found
         # an earlier scene may have had larger errors
         account = self._probe(plan, self._exposure_time)

@@ -84,12 +84,14 @@ class Probing:
         """Whether the last scene was probed."""
         return self._account is not None and not self._since
 
-    def is_doubted(self) -> bool:
+    def is_doubted(self, plan: Plan, scene: Scene) -> bool:
         """Return True if a scene that is "not met" by the errors of earlier scenes must be probed itself.
 
         Each time that its own errors confirm that, the interval to the next such probe becomes about three times
-        longer.
+        longer. A view of the plan's own content errs like that, see `is_due`.
         """
+        if self.are_of_last or (self._account is None and scene.content is plan.scene.content):
+            return False
         self._doubted += 1
         return self._doubted >= self._doubts
 

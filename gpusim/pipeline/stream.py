@@ -1,5 +1,6 @@
 """Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
+import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +20,7 @@ if TYPE_CHECKING:
     from gpusim.pipeline.simulator import Simulator
 
 SLOTS = 2  # one is read while the other is written
-COPIERS = 4  # threads that copy to pinned memory: together they reach the rate of the bus
+COPIERS = min(8, os.cpu_count() or 1)  # threads that copy to pinned memory
 PARALLEL = 1 << 20  # [byte] that several threads copy
 
 
@@ -138,8 +139,8 @@ def _upload_scenes(
     earlier: _Upload | None = None
     end: Exception | None = None
     number = 0
-    # each device has a thread that sends, and all share threads that copy to pinned memory
-    pools = [ThreadPoolExecutor(1) for _ in devices]
+    # with several devices each has a thread that sends; all share threads that copy to pinned memory
+    pools = [ThreadPoolExecutor(1) if len(devices) > 1 else None for _ in devices]
     copiers = ThreadPoolExecutor(COPIERS)
     try:
         while True:
@@ -166,14 +167,15 @@ def _upload_scenes(
                 with suppress(GpusimError):  # raised by `scene`
                     one.wait()
         for pool in (*pools, copiers):
-            pool.shutdown()
+            if pool is not None:
+                pool.shutdown()
 
 
 class _Upload:
     """A scene on its way to a device.
 
     slot: memory that it overwrites, by name: device arrays, which nothing that is launched from now on reads, and
-    pinned memory. pool: a thread that sends. copiers: threads that copy to pinned memory.
+    pinned memory. pool: a thread that sends; None: this one. copiers: threads that copy to pinned memory.
     """
 
     def __init__(
@@ -181,7 +183,7 @@ class _Upload:
         device: Device,
         scene: Scene,
         slot: dict,
-        pool: ThreadPoolExecutor,
+        pool: ThreadPoolExecutor | None,
         copiers: ThreadPoolExecutor,
     ):
         self._scene, content = scene, scene.content
@@ -191,12 +193,14 @@ class _Upload:
             for name, values in given.items()
             if isinstance(values, np.ndarray) or dlpack_kind(values) == CPU[0]
         }
-        self._transfers: Callable[[], dict] = dict
-        if coming:
-            mark = device.mark()  # behind it the arrays of the slot may be written to
-            self._transfers = pool.submit(
-                _send, device, content, coming, slot, mark, copiers
-            ).result
+        # behind the mark the arrays of the slot may be written to
+        asked = device, content, coming, slot, device.mark() if coming else None, copiers
+        self._transfers: Callable[[], dict]
+        if pool is None or not coming:
+            transfers = _send(*asked)
+            self._transfers = lambda: transfers
+        else:
+            self._transfers = pool.submit(_send, *asked).result
 
     def scene(self) -> Scene:
         """Return the scene. Later launches wait for its upload."""
