@@ -26,7 +26,7 @@ def temporary_name(suffix: str = "") -> str:
     """Return a new name for a temporary file or folder of this process."""
     host, boot = _place()
     pid = os.getpid()
-    return f"{PREFIX}{host}-{boot}-{pid}-{_start(pid) or ''}-{uuid.uuid4().hex[:8]}{suffix}"
+    return f"{PREFIX}{host}-{boot}-{pid}-{_own_start(pid)}-{uuid.uuid4().hex[:8]}{suffix}"
 
 
 def remove_leftovers(folder):
@@ -83,6 +83,12 @@ def _start(pid):
     """
     fields = _read(f"/proc/{pid}/stat").rpartition(")")[2].split()
     return "" if len(fields) < 20 else None if fields[0] in "ZX" else fields[19]
+
+
+@functools.cache
+def _own_start(pid):
+    """Return the start time of this process; pid: its number, another one after a fork."""
+    return _start(pid) or ""
 
 
 @functools.cache

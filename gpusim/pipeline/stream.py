@@ -1,6 +1,5 @@
 """Frames of a sequence of scenes. The next scene is uploaded while this one is computed."""
 
-import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -20,7 +19,7 @@ if TYPE_CHECKING:
     from gpusim.pipeline.simulator import Simulator
 
 SLOTS = 2  # one is read while the other is written
-COPIERS = min(8, os.cpu_count() or 1)  # threads that copy to pinned memory
+COPIERS = 4  # threads that copy to pinned memory
 PARALLEL = 1 << 20  # [byte] that several threads copy
 
 
@@ -235,13 +234,12 @@ def _send(device, content, samples: dict, slot: dict, mark, copiers) -> dict:
 
 
 def _copy(target: np.ndarray, values: np.ndarray, copiers: ThreadPoolExecutor):
-    """Copy values by several threads, each a part of the longest axis."""
-    axis = int(np.argmax(target.shape)) if target.ndim else 0
-    if target.nbytes < PARALLEL:
+    """Copy values to contiguous memory by several threads."""
+    if target.nbytes < PARALLEL or not values.flags.c_contiguous:
         np.copyto(target, values, casting="unsafe")
         return
     pairs = zip(
-        *(np.array_split(array, COPIERS, axis=axis) for array in (target, values)), strict=True
+        *(np.array_split(array.ravel(), COPIERS) for array in (target, values)), strict=True
     )
     for done in [copiers.submit(np.copyto, *pair, casting="unsafe") for pair in pairs]:
         done.result()

@@ -30,6 +30,8 @@ from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS, extend
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 
+TILE = 4, 64  # pixels of a work-group, whose samples overlap; as in distort_warp.py
+
 
 @stage
 def distort(
@@ -101,7 +103,7 @@ def distort(
         return out
     numbers = warp_only(device, BORDERS[border], per_map)
     if light is None and share is None:
-        launch("cubic", grid, planes, lines, out, *numbers, *sizes)
+        launch("cubic", _tiles(device, grid), planes, lines, out, *numbers, *sizes)
         return out
     values = 0
     if cover is not None:
@@ -114,7 +116,7 @@ def distort(
     (top, left), size = _corner(window, shape)
     launch(
         "limited",
-        (maps, *size),
+        _tiles(device, (maps, *size)),
         *(planes, lines, share, planes if cover is None else cover, out, top, left),
         *numbers,
         *warp_only(device, values),
@@ -123,6 +125,14 @@ def distort(
         defines={**defines, "COVERS": values} if values else defines,
     )
     return out
+
+
+def _tiles(device, grid):
+    """Return the grid of kernels whose groups take tiles: Warp has groups along one axis only."""
+    if device.kind != "warp":
+        return grid
+    maps, rows, cols = grid
+    return maps * -(-rows // TILE[0]), -(-cols // TILE[1]), *TILE
 
 
 def _corner(window, shape):

@@ -7,6 +7,9 @@ from gpusim.kernels.common.border_warp import inside
 
 wp.set_module_options({"enable_backward": False})
 
+TILE_ROWS = wp.constant(4)  # as in distort.py
+TILE_COLS = wp.constant(64)
+
 
 @wp.func
 def first_node(half_steps: int, n: int, count: int):
@@ -67,6 +70,14 @@ def place(lines: wp.array3d[float], m: int, half_y: int, half_x: int, nx: int, c
     return total
 
 
+@wp.func
+def tile_place(block: int, across: int, y: int, x: int, rows: int):
+    """Return grid, row and column of a work-item: a block of 256 has a tile of the frame, whose samples overlap."""
+    per = (rows + TILE_ROWS - 1) // TILE_ROWS
+    m = block // per
+    return wp.vec3i(m, (block - m * per) * TILE_ROWS + y, across * TILE_COLS + x)
+
+
 @wp.kernel
 def cubic(
     # in:
@@ -85,7 +96,13 @@ def cubic(
     rows: int,
     cols: int,
 ):
-    m, y, x = wp.tid()
+    block, across, ty, tx = wp.tid()
+    own = tile_place(block, across, ty, tx, rows)
+    m = own[0]
+    y = own[1]
+    x = own[2]
+    if y >= rows or x >= cols:
+        return
     at = place(lines, m, 2 * y + 1, 2 * x + 1, nx, cols)
     floor_y = wp.floor(at[0])
     floor_x = wp.floor(at[1])
@@ -329,7 +346,13 @@ def limited(
     wide: int,
 ):
     # as `cubic`, of each sample's share; the rest by area, over the cubic's 4 x 4 samples
-    m, dy, dx = wp.tid()
+    block, across, ty, tx = wp.tid()
+    own_place = tile_place(block, across, ty, tx, high)
+    m = own_place[0]
+    dy = own_place[1]
+    dx = own_place[2]
+    if dy >= high or dx >= wide:
+        return
     y = top + dy
     x = left + dx
     at = place(lines, m, 2 * y + 1, 2 * x + 1, nx, cols)
@@ -361,6 +384,11 @@ def limited(
                 total += wy[i] * row
             out[p, y, x] = at[2] * total
         return
+    at_y = wp.vec4i()
+    at_x = wp.vec4i()
+    for i in range(4):
+        at_y[i] = inside(first_y + i, source_rows, border)
+        at_x[i] = inside(first_x + i, source_cols, border)
     c00 = at
     c10 = at
     c11 = at
@@ -394,9 +422,8 @@ def limited(
         areas = areas / whole
     weights = wp.mat44(0.0)  # without J
     for i in range(4):
-        sy = inside(first_y + i, source_rows, border)
         for j in range(4):
-            part = share[sy, inside(first_x + j, source_cols, border)]
+            part = share[at_y[i], at_x[j]]
             weights[i, j] = wy[i] * wx[j] * part + areas[i, j] * (1.0 - part)
     own = 0  # values of the layer, by the first grid
     if m == 0:
@@ -404,23 +431,18 @@ def limited(
     for p in range(own):  # coverage goes on beyond a dark border
         total = float(0.0)
         for i in range(4):
-            sy = inside(first_y + i, source_rows, border)
             for j in range(4):
-                total += weights[i, j] * cover[p, sy, inside(first_x + j, source_cols, border)]
+                total += weights[i, j] * cover[p, at_y[i], at_x[j]]
         out[maps * per_map + p, y, x] = total
     for i in range(4):
-        sy = inside(first_y + i, source_rows, border)
         for j in range(4):
-            sx = inside(first_x + j, source_cols, border)
             if covers > 0:
-                weights[i, j] = weights[i, j] * cover[0, sy, sx]
-            if border == 0 and (sy != first_y + i or sx != first_x + j):
+                weights[i, j] = weights[i, j] * cover[0, at_y[i], at_x[j]]
+            if border == 0 and (at_y[i] != first_y + i or at_x[j] != first_x + j):
                 weights[i, j] = 0.0
     for p in range(m * per_map, (m + 1) * per_map):
         total = float(0.0)
         for i in range(4):
-            sy = inside(first_y + i, source_rows, border)
             for j in range(4):
-                sx = inside(first_x + j, source_cols, border)
-                total += weights[i, j] * planes[p, sy, sx]
+                total += weights[i, j] * planes[p, at_y[i], at_x[j]]
         out[p, y, x] = at[2] * total
