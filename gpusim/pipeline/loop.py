@@ -4,6 +4,7 @@ import dataclasses
 import time
 from itertools import chain
 from math import prod
+from numbers import Real
 from operator import is_
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -12,7 +13,7 @@ from gpusim.color.rendering import Rendering
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content, Picture
-from gpusim.domain.errors import BadData, check_known
+from gpusim.domain.errors import BadData, OutOfRange, check_known, format_value
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
@@ -205,6 +206,7 @@ class Loop:
         self.capture, self._plan_of_capture = checked_capture(capture), plan
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
+        self._brightness = 1.0
         self.before = SharedOptics(simulator.device) if before is None else before
         self.cache = self.before.cache if before is None else Cache(simulator.device)
         self.values = Values(
@@ -224,7 +226,7 @@ class Loop:
         self._drift: float | None = None  # of the plan, in the last scene that was checked
         self._last: tuple | None = None  # an exposure, with its plan, scene and settings
         self._drafts = False
-        self._served: tuple = (None,) * 5  # a plan that is usable, and for which settings
+        self._served: tuple = (None,) * 6  # a plan that is usable, and for which settings
         self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
@@ -242,6 +244,7 @@ class Loop:
         scene: Scene = SAME,
         exposure_time: float | None = SAME,
         gain: float = SAME,
+        brightness: float = SAME,
         drafts: bool = False,
     ) -> "Loop":
         """Change the camera, the scene or the exposure. Arguments that are left out stay as they are.
@@ -253,6 +256,8 @@ class Loop:
             scene: The new scene.
             exposure_time: Exposure time [s]; None uses the camera's.
             gain: Analog gain, next to the sensor's [1].
+            brightness: Factor on the scene's light [1]. Only what follows the blur runs again. The exposure's errors
+                are predicted for the brighter light; `plan.scene` is the scene without the factor.
             drafts: While a lens slider moves, reuse the last plan with new transfer tables, see
                 `gpusim.planner.draft`. Then `plan.is_draft` is True and errors are not predicted. An update without
                 drafts plans again.
@@ -262,14 +267,19 @@ class Loop:
 
         Raises:
             BadData: No camera or scene, or the given plan does not serve it.
-            OutOfRange: An exposure time or gain is not allowed.
+            OutOfRange: An exposure time, gain or brightness is not allowed.
         """
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
         scene = self.scene if scene is SAME else checked_scene(scene)
         if self._fixed_plan is not None:
             check_given(self._fixed_plan, simulator.camera, scene)
+        factor = self._brightness if brightness is SAME else checked_brightness(brightness)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
+        if factor != self._brightness:
+            self._brightness = factor
+            if seconds is None and self._fixed_plan is None:
+                self.before.plan = None  # it is for another operation of the camera
         self.scene, self._frame_exposure = scene, None
         self.simulator, self._exposure_time, self._drafts = simulator, seconds, drafts
         return self
@@ -301,7 +311,8 @@ class Loop:
                 probing.forget()
             facts = self._facts()
             least, words = probing.least(scene), probing.words
-            plan = before.cache("plan", _plan, simulator, scene, facts, seconds, least, words)
+            asked = seconds, least, self._brightness, words
+            plan = before.cache("plan", _plan, simulator, scene, facts, *asked)
             probing.set_plan(plan)
         before.plan = plan, camera
         return (self._drafts and self._draft()) or plan
@@ -317,13 +328,14 @@ class Loop:
     def _usable_plan(self):
         """Return the existing plan if it serves this scene and camera, else None."""
         plan, by = self.before.plan or (None, None)
-        now = plan, by, self.scene, self.simulator.camera, self._exposure_time
+        settings = self._exposure_time, self._brightness
+        now = plan, by, self.scene, self.simulator.camera, *settings
         if not all(map(is_, now, self._served)):
             is_usable = (
                 plan is not None
                 and not self._needs_other_plan()
                 and (plan.scene is self.scene or plan.serves(self.scene))
-                and plan.lasts(self._exposure_time)
+                and plan.lasts(self._exposure_time and self._exposure_time * self._brightness)
             )
             if not is_usable:
                 return None
@@ -408,7 +420,8 @@ class Loop:
         simulator, content = self.simulator, self.scene.content
         # the device has decoded them
         stored = self.values["entries"] if isinstance(content, Picture) else None
-        return self.before.cache("probes", probe_plan, simulator, plan, self.scene, seconds, stored)
+        asked = simulator, plan, self.scene, seconds, self._brightness, stored
+        return self.before.cache("probes", probe_plan, *asked)
 
     def _facts(self):
         """Return facts of the scene. If the device computes them, the host reads only a few numbers."""
@@ -446,7 +459,7 @@ class Loop:
         Returns:
             The exposure, see `exposure`.
         """
-        settings = self.simulator, self._exposure_time, self._gain
+        settings = self.simulator, self._exposure_time, self._gain, self._brightness
         automatic = (
             self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
         )
@@ -468,7 +481,8 @@ class Loop:
         seconds, gain = self._choose_exposure()
         camera = self.cache("operated", operated_camera, simulator.camera, simulator.readout, gain)
         self._use("pictures", picture_steps, simulator, camera)
-        exposure = expose_values(values, simulator, plan, camera, seconds, gain, is_rewritten=True)
+        operation = seconds, gain, True, self._brightness
+        exposure = expose_values(values, simulator, plan, camera, *operation)
         if plan.scene is not scene or self.meters_late:
             self._start_check(plan, exposure.mean, seconds)
         self._last = exposure, plan, scene, *settings
@@ -510,6 +524,7 @@ class Loop:
         if self.meters_late and self._last_metered:
             found = self._last_metered
         else:
+            self.values.set_numbers(brightness=self._brightness)
             found = self._last_metered = self.values["metered"]
         self._frame_exposure = found if self.meters_late else None
         return found
@@ -685,7 +700,8 @@ class Loop:
     def account(self) -> Account:
         """Predicted errors of the scene's exposure, from the measurements made so far."""
         exposure = self.expose()
-        return self._annotate(exposure).account.at(exposure.exposure_time)
+        light_time = exposure.exposure_time * exposure.brightness
+        return self._annotate(exposure).account.at(light_time)
 
     def _annotate(self, exposure):
         """Return an exposure's plan with the errors predicted for the scene."""
@@ -696,7 +712,8 @@ class Loop:
             return plan
         probing = self.before.probing
         found = probing.annotate(plan, self.scene, self._drift)
-        if found.meets(exposure.exposure_time) or probing.are_of_last:
+        light_time = exposure.exposure_time * exposure.brightness
+        if found.meets(light_time) or probing.are_of_last:
             return found
         # an earlier scene may have had larger errors
         account = self._probe(plan, self._exposure_time)
@@ -704,10 +721,8 @@ class Loop:
 
     def _predict_given(self):
         """Return the given plan, with the errors predicted for the scene."""
-        simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
-        return self.before.cache(
-            "given", predict_errors, simulator, self._fixed_plan, scene, self._facts(), seconds
-        )
+        asked = self.scene, self._facts(), self._exposure_time, self._brightness
+        return self.before.cache("given", predict_errors, self.simulator, self._fixed_plan, *asked)
 
 
 def blurred_content(plan: Plan, scene: Scene) -> Content:
@@ -716,9 +731,17 @@ def blurred_content(plan: Plan, scene: Scene) -> Content:
     return scene.content if is_whole else plan.content
 
 
-def _plan(simulator, scene, facts, seconds, least, words) -> Plan:
+def _plan(simulator, scene, facts, seconds, least, brightness, words) -> Plan:
     """Return the plan of a scene. words: why it replaces another one."""
-    return dataclasses.replace(simulator.plan(scene, facts, seconds, least), probed=words)
+    plan = simulator.plan(scene, facts, seconds, least, brightness)
+    return dataclasses.replace(plan, probed=words)
+
+
+def checked_brightness(factor: float) -> float:
+    """Return a factor on the light. Raises OutOfRange."""
+    if not (isinstance(factor, Real) and 0 < factor < float("inf")):
+        raise OutOfRange("brightness", format_value(factor), "0 < brightness < inf")
+    return float(factor)
 
 
 def read_facts(scene: Scene, device) -> Facts:

@@ -182,7 +182,7 @@ class Operation:
     """Operation of a camera.
 
     Attributes:
-        seconds: Exposure time [s].
+        seconds: Exposure time, times the brightness of the scene's light [s].
         size: Root mean square of the mosaic [e- s-1].
         noise: Variance of the read noise [e-2].
     """

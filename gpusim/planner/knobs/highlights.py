@@ -69,8 +69,13 @@ class Picture:
         )
         return float(np.sqrt(np.mean(light**2))) / self.level
 
-    def operation(self, question: Question, exposure_time: float | None) -> Operation:
-        """Return the camera's operation for it. exposure_time: [s]; None: the camera's own."""
+    def operation(
+        self, question: Question, exposure_time: float | None, brightness: float = 1.0
+    ) -> Operation:
+        """Return the camera's operation for it.
+
+        exposure_time: [s]; None: the camera's own. brightness: factor on the scene's light.
+        """
         sensor, rates = question.sensor, question.facts.channels(question.weights)
         looked = rates.sum(axis=0)
         if not sensor.stacked:
@@ -84,17 +89,18 @@ class Picture:
         if seconds is None:
             dark = sensor.noise.operating_dark_current
             try:
-                automatic, brightest = sensor.auto_exposure, float(looked.max())
+                automatic, brightest = sensor.auto_exposure, brightness * float(looked.max())
+                highest, rates = brightness * self.highest, brightness * rates
                 if automatic.method == "highlights" and brightest > 0:
                     # the frame's brightest need not be among these samples
-                    top = rates.max() * self.highest / brightest
+                    top = rates.max() * highest / brightest
                     rates = np.append(np.minimum(rates, top), top)
                 seconds = automatic.choose(rates + dark, sensor.saturation)[0]
-                if automatic.method == "full" and self.highest > 0:
-                    seconds *= brightest / self.highest
+                if automatic.method == "full" and highest > 0:
+                    seconds *= brightest / highest
             except BadData:  # a dark scene: whoever exposes it says so
                 seconds = 1.0
-        return Operation(float(seconds), size, float(sensor.read_sigma**2))
+        return Operation(float(seconds) * brightness, size, float(sensor.read_sigma**2))
 
     def describe(self, notes: Notes):
         """Note the highlights that were split off."""
