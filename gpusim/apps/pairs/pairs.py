@@ -203,7 +203,7 @@ class Pairs:
 
     def _key(self, number, values) -> tuple:
         """Return the number of a pair's photograph, its light, and what else its plan depends on."""
-        light, more = scene_options(values), ()
+        light, more = scene_options(values), tuple[Any, ...]()
         if self._simulator.tolerance is not None:
             more = values.get("exposure"), self._brightness(values)
         if self._is_scaled and "luminance" in light:
@@ -244,8 +244,7 @@ class Pairs:
         if lit.facts is None:
             return _Ready(lit.scene, None)
         seconds, brightness = key[-1] or (None, 1.0)
-        asked = {"facts": lit.facts, "exposure_time": seconds, "brightness": brightness}
-        plan = self._simulator.plan(lit.scene, **asked)
+        plan = self._simulator.plan(lit.scene, lit.facts, seconds, brightness=brightness)
         plan.name  # noqa: B018  computed here, next to the device's work
         return _Ready(lit.scene, plan)
 
