@@ -417,11 +417,13 @@ class Loop:
 
         seconds: exposure time [s]; None: the camera's choice.
         """
-        simulator, content = self.simulator, self.scene.content
+        simulator, content, cache = self.simulator, self.scene.content, self.before.cache
         # the device has decoded them
         stored = self.values["entries"] if isinstance(content, Picture) else None
-        asked = simulator, plan, self.scene, seconds, self._brightness, stored
-        return self.before.cache("probes", probe_plan, *asked)
+        # the same for all views of a scene
+        facts = cache("facts of probes", facts_on_device, content, stored, simulator.device)
+        asked = simulator, plan, self.scene, seconds, facts, self._brightness
+        return cache("probes", probe_plan, *asked)
 
     def _facts(self):
         """Return facts of the scene. If the device computes them, the host reads only a few numbers."""

@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from math import ceil, prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from gpusim.optics.depth import DepthPlan, checked_confusion
 from gpusim.optics.lengths import LENGTHS
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
-from gpusim.pipeline.reading import Reading, bytes_read_on_device, is_read_on_device
+from gpusim.pipeline.reading import bytes_read_on_device, is_read_on_device
 from gpusim.pipeline.step import steps_needed
 from gpusim.planner.choices import Goal
 from gpusim.planner.draft import TURNED
@@ -209,15 +209,13 @@ def probe_plan(
     made: Plan,
     scene: Scene,
     seconds: float | None,
+    facts: Facts,
     brightness: float = 1.0,
-    stored: Any = None,
 ) -> Account:
     """Return a plan's errors in another scene that it serves.
 
-    seconds: exposure time [s]; None: the camera's choice. brightness: factor on the scene's light. stored: the scene's
-    samples on the device, see `Reading`.
+    seconds: exposure time [s]; None: the camera's choice. facts: Of the scene. brightness: factor on its light.
     """
-    facts = Facts(scene.content, None, Reading(simulator.device, scene.content, stored))
     question = Question.of(
         scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
     )

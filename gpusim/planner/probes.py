@@ -5,7 +5,8 @@ transfer functions times the window's own spectra. A transform repeats a window;
 shows that, does not count.
 """
 
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -18,7 +19,7 @@ from gpusim.optics.fusion import SAMPLED_PERIOD, in_range
 from gpusim.optics.geometry import interpolated_share, interpolation_error
 from gpusim.optics.outside import border_indices
 from gpusim.optics.windows import Windows, quantile
-from gpusim.planner.facts import Facts
+from gpusim.planner.facts import Facts, Operation
 
 # of a window, and of its rim on each side, which does not count [sample]
 SIDE = SAMPLED_PERIOD
@@ -104,6 +105,22 @@ class Probes:
     apart: float | None = None
     inner: tuple[int, int] = (INNER, INNER)
     channels: np.ndarray | None = None
+    _parts: dict = field(init=False, repr=False, default_factory=dict)
+
+    def at(self, operation: Operation) -> "Probes":
+        """Return the same windows in another operation of the camera."""
+        self._light, self.signal  # noqa: B018  computed once for all operations
+        made = copy(self)
+        for name, value in (("seconds", operation.seconds), ("noise", operation.noise)):
+            object.__setattr__(made, name, value)
+        made.__dict__.pop("_sigma", None)
+        return made
+
+    def _through(self, tables) -> "Probes":
+        """The same windows through another lens."""
+        made = replace(self, tables=tables)
+        object.__setattr__(made, "_parts", self._parts)
+        return made
 
     @classmethod
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
@@ -194,7 +211,7 @@ class Probes:
     @cached_property
     def sharp(self) -> "Probes":
         """The same windows through a lens without blur."""
-        return replace(self, tables=np.broadcast_to(self.tables[:, :1, :1], self.tables.shape))
+        return self._through(np.broadcast_to(self.tables[:, :1, :1], self.tables.shape))
 
     @cached_property
     def without_blur(self) -> Bound:
@@ -228,6 +245,8 @@ class Probes:
 
     def _magnify(self, zoom: float) -> "Probes":
         """The same windows if the lens blurs a magnified picture: waves of f cycles per sample become f / zoom."""
+        if not any(self.tables.strides[1:]):  # the same for all waves
+            return self
         places = np.meshgrid(
             np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij"
         )
@@ -235,7 +254,7 @@ class Probes:
             scipy.ndimage.map_coordinates(one, places, order=1, mode="grid-wrap")
             for one in self.tables
         ]
-        return replace(self, tables=np.stack(tables))
+        return self._through(np.stack(tables))
 
     def interpolation_bound(self, phases=None, width: float | None = None) -> Bound:
         """The error of a picture that `optics.distort` interpolates: see `interpolation_error`.
@@ -256,18 +275,26 @@ class Probes:
 
         Cubics would fall below 0 next to it.
         """
+        if "area" not in self._parts:
+            self._parts["area"] = self._spectra_by_area()
+        found = np.zeros_like(self.exact)
+        for n, part in self._parts["area"].items():
+            found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+        return found
+
+    def _spectra_by_area(self) -> dict[int, np.ndarray]:
+        """Transforms of the wavelengths' light that is taken by area, by windows that have such light."""
         means = (self.means @ self.weights.T)[..., None, None]
         light = np.maximum(
             scipy.fft.irfft2(_mix(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
         )
-        left, found = [1 - interpolated_share(one) for one in light], np.zeros_like(self.exact)
-        for n, share in enumerate(left):
+        found = {}
+        for n, share in enumerate(1 - interpolated_share(one) for one in light):
             if share.any():
                 planes = (
                     scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
                 )
-                part = scipy.fft.rfft2((planes * share).astype(np.float32))
-                found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+                found[n] = scipy.fft.rfft2((planes * share).astype(np.float32))
         return found
 
     def between(self, step: float, path: float) -> Bound:

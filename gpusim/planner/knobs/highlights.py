@@ -76,15 +76,13 @@ class Picture:
 
         exposure_time: [s]; None: the camera's own. brightness: factor on the scene's light.
         """
-        sensor, rates = question.sensor, question.facts.channels(question.weights)
-        looked = rates.sum(axis=0)
-        if not sensor.stacked:
-            cfa = sensor.cfa_indices
-            rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
-            channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
-            rates = np.take_along_axis(rates, channel[None], 0)
-        light = float(np.sqrt(np.mean(looked**2)))
-        size = float(np.sqrt(np.mean(rates**2))) * (self.level / light if light > 0 else 1.0)
+        sensor, facts = question.sensor, question.facts
+        cfa = None if sensor.stacked else sensor.cfa_indices
+        key = question.weights.tobytes(), None if cfa is None else (cfa.shape, cfa.tobytes())
+        rates, looked, light, root = facts.hold(
+            "looked", key, lambda: _look(facts.channels(question.weights), cfa)
+        )
+        size = root * (self.level / light if light > 0 else 1.0)
         seconds = sensor.exposure_time if exposure_time is None else exposure_time
         if seconds is None:
             dark = sensor.noise.operating_dark_current
@@ -162,12 +160,28 @@ class Picture:
             notes.beside["local error next to highlights"] = left
 
 
+def _look(rates, cfa):
+    """Return light of pairs of rows: of their pixels, of all channels together, and the roots of both mean squares.
+
+    rates: channels, (C, rows, cols). cfa: mosaic, or None.
+    """
+    looked = rates.sum(axis=0)
+    if cfa is not None:
+        rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
+        channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
+        rates = np.take_along_axis(rates, channel[None], 0)
+    light, root = (float(np.sqrt(np.mean(part**2))) for part in (looked, rates))
+    return rates, looked, light, root
+
+
 def whole(question: Question) -> Picture:
     """Return the picture with its highlights."""
     brightness, scene = question.facts.brightness(question.light), question.scene
-    return Picture(
-        brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border)
+    shown = question.deviation, scene.margin, scene.border
+    level, highest = question.facts.hold(
+        "seen light", (brightness, *shown), lambda: seen_light(brightness, *shown)
     )
+    return Picture(brightness, level, highest)
 
 
 def split(question: Question) -> tuple[Question, Picture]:
