@@ -19,7 +19,7 @@ from gpusim.optics.fusion import SAMPLED_PERIOD, in_range
 from gpusim.optics.geometry import interpolated_share, interpolation_error
 from gpusim.optics.outside import border_indices
 from gpusim.optics.windows import Windows, quantile
-from gpusim.planner.facts import Facts, Operation
+from gpusim.planner.facts import Facts
 
 # of a window, and of its rim on each side, which does not count [sample]
 SIDE = SAMPLED_PERIOD
@@ -105,15 +105,18 @@ class Probes:
     apart: float | None = None
     inner: tuple[int, int] = (INNER, INNER)
     channels: np.ndarray | None = None
+    # computed once: of the windows' light, through any lens; and behind this lens, in any operation of the camera
     _parts: dict = field(init=False, repr=False, default_factory=dict)
+    _seen: dict = field(init=False, repr=False, default_factory=dict)
 
-    def at(self, operation: Operation) -> "Probes":
-        """Return the same windows in another operation of the camera."""
-        self._light, self.signal  # noqa: B018  computed once for all operations
+    def at(self, seconds: float, noise: float) -> "Probes":
+        """Return the same windows at another exposure time [s] and variance of the read noise [e-2]."""
+        self._light, self.signal  # noqa: B018  computed once for all
         made = copy(self)
-        for name, value in (("seconds", operation.seconds), ("noise", operation.noise)):
+        for name, value in (("seconds", seconds), ("noise", noise)):
             object.__setattr__(made, name, value)
-        made.__dict__.pop("_sigma", None)
+        for name in ("_sigma", "without_blur", "sharp"):
+            made.__dict__.pop(name, None)
         return made
 
     def _through(self, tables) -> "Probes":
@@ -184,9 +187,11 @@ class Probes:
 
     def bound(self, wrong) -> Bound:
         """The error of channels whose transforms are wrong by so much, complex (n, C, SIDE, SIDE // 2 + 1)."""
+        return self._bound_of(self._error_of(wrong)) if self._light.size > 0 else Bound()
+
+    def _error_of(self, wrong):
+        """Return the relative root mean square of such an error, and the error of each pixel [e- s-1]."""
         light = self._light
-        if not light.size > 0:
-            return Bound()
         error = np.abs(self._inside(wrong))
         weight = self.windows.weight[:, None] * self.share
         squares = (weight * _mean_squares(error)).sum()
@@ -197,6 +202,12 @@ class Probes:
             if light.by_pixel > 0 and by_pixel * light.by_share > UNEVEN * squares * light.by_pixel:
                 uneven = light.by_share / light.by_pixel if self.apart is None else 1.0
                 rms *= np.sqrt(by_pixel / squares * uneven)
+        return rms, error
+
+    def _bound_of(self, found) -> Bound:
+        """Return an error of `_error_of` with its figures in noise."""
+        rms, error = found
+        weight = self.windows.weight[:, None] * self.share
         sigma = error * (self.seconds / self._sigma.pixels)
         return Bound(
             float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest)
@@ -211,14 +222,20 @@ class Probes:
     @cached_property
     def sharp(self) -> "Probes":
         """The same windows through a lens without blur."""
-        return self._through(np.broadcast_to(self.tables[:, :1, :1], self.tables.shape))
+        if "sharp" not in self._seen:
+            tables = np.broadcast_to(self.tables[:, :1, :1], self.tables.shape)
+            self._seen["sharp"] = self._through(tables)
+        return self._seen["sharp"].at(self.seconds, self.noise)
 
     @cached_property
     def without_blur(self) -> Bound:
         """The error of leaving the blur out."""
-        return self.bound(
-            _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact
-        )
+        if not self._light.size > 0:
+            return Bound()
+        if "without blur" not in self._seen:
+            sharp = _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra)
+            self._seen["without blur"] = self._error_of(sharp - self.exact)
+        return self._bound_of(self._seen["without blur"])
 
     def change_error(self, share: float) -> Bound:
         """Return a bound of the error of transfer functions wrong by up to `share`; 1 is the error without blur."""
@@ -276,11 +293,14 @@ class Probes:
 
         Cubics would fall below 0 next to it.
         """
+        if "area" in self._seen:
+            return self._seen["area"]
         if "area" not in self._parts:
             self._parts["area"] = self._spectra_by_area()
         found = np.zeros_like(self.exact)
         for n, part in self._parts["area"].items():
             found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+        self._seen["area"] = found
         return found
 
     def _spectra_by_area(self) -> dict[int, np.ndarray]:

@@ -178,10 +178,11 @@ def whole(question: Question) -> Picture:
     """Return the picture with its highlights."""
     brightness, scene = question.facts.brightness(question.light), question.scene
     shown = question.deviation, scene.margin, scene.border
-    level, highest = question.facts.hold(
-        "seen light", (brightness, *shown), lambda: seen_light(brightness, *shown)
+    return question.facts.hold(
+        "picture",
+        (brightness, *shown),
+        lambda: Picture(brightness, *seen_light(brightness, *shown)),
     )
-    return Picture(brightness, level, highest)
 
 
 def split(question: Question) -> tuple[Question, Picture]:

@@ -294,7 +294,7 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
         *(question.ratio, cfa if cfa is None else (cfa.shape, cfa.tobytes())),
     )
     found = question.facts.hold("probes", key, lambda: _probe(question, picture, flat, tables))
-    return found.at(operation)
+    return found.at(operation.seconds, operation.noise)
 
 
 def _probe(question, picture, flat, tables):
