@@ -12,6 +12,7 @@ it is q / (pi^3 r^3). Light from far away is smooth, so a coarse grid is enough 
 blades throw their light along their normals, as r^-2.
 """
 
+from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from math import ceil, prod, sqrt
@@ -255,6 +256,15 @@ class Outside:
     deviation: float = 0.0
     is_moved: bool = False
     _windows: dict = field(init=False, repr=False, default_factory=dict)
+    held: dict = field(init=False, repr=False, default_factory=dict)
+
+    def at(self, noise: float) -> "Outside":
+        """Return the facts for another read noise. What does not depend on it is computed once for all."""
+        made = copy(self)
+        object.__setattr__(made, "noise", noise)
+        for name in ("darkest", "_probes"):
+            made.__dict__.pop(name, None)
+        return made
 
     @cached_property
     def is_spiky(self) -> bool:
@@ -328,9 +338,14 @@ class Outside:
         self._windows[inner] = windows, light
         return windows, light
 
-    @cached_property
+    @property
     def spectrum(self) -> tuple[np.ndarray, float]:
         """Mean squares of the frame's light at FREQUENCIES along both axes, and of longer waves."""
+        if "spectrum" not in self.held:
+            self.held["spectrum"] = self._find_spectrum()
+        return self.held["spectrum"]
+
+    def _find_spectrum(self):
         windows, light = self.windows()
         fade = np.hanning(WINDOW + 1)[:-1].astype(np.float32)
         fade = np.multiply.outer(fade, fade)

@@ -119,7 +119,7 @@ def picture_steps(simulator: "Simulator", camera: Camera) -> list[Step]:
 
 
 def exposure_numbers(
-    simulator: "Simulator", sensor: Sensor, seconds: float, gain: float
+    simulator: "Simulator", sensor: Sensor, seconds: float, gain: float, brightness: float = 1.0
 ) -> dict[str, float]:
     """Return the numbers of an exposure by name.
 
@@ -128,10 +128,12 @@ def exposure_numbers(
         sensor: The sensor as operated.
         seconds: Exposure time [s].
         gain: The exposure's analog gain [1].
+        brightness: Factor on the scene's light [1].
     """
     readout = simulator.readout
     return {
-        "exposure_time": seconds,
+        "exposure_time": seconds * brightness,  # of the light
+        "brightness": brightness,
         "dark_time": readout.dark_time(seconds),
         "hot_electrons": HOT * sensor.read_sigma,
         **readout.numbers(seconds, gain),
@@ -172,6 +174,7 @@ class Exposure:
         ms: Milliseconds per stage.
         wall_ms: Milliseconds in all, planning included.
         is_rewritten: True if a loop will write to these arrays again.
+        brightness: Factor on the light of the plan's scene [1].
     """
 
     plan: Plan
@@ -187,6 +190,7 @@ class Exposure:
     ms: dict = dataclasses.field(default_factory=dict)
     wall_ms: float = 0.0
     is_rewritten: bool = False
+    brightness: float = 1.0
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.mean, dtype, copy=copy)
@@ -313,7 +317,9 @@ class Exposure:
             sensor=camera.sensor,
         )
         values.set_numbers(
-            **exposure_numbers(simulator, camera.sensor, self.exposure_time, self.gain)
+            **exposure_numbers(
+                simulator, camera.sensor, self.exposure_time, self.gain, self.brightness
+            )
         )
         return values
 
@@ -336,6 +342,7 @@ def expose_values(
     seconds: float,
     gain: float,
     is_rewritten: bool = False,
+    brightness: float = 1.0,
 ) -> Exposure:
     """Return the exposure that values of its steps make, without its computing times.
 
@@ -347,12 +354,13 @@ def expose_values(
         seconds: Exposure time [s].
         gain: Analog gain, next to the sensor's [1].
         is_rewritten: Whether the next exposure will write to its arrays.
+        brightness: Factor on the scene's light [1].
 
     Returns:
         The exposure.
     """
     values.give(sensor=camera.sensor)
-    values.set_numbers(**exposure_numbers(simulator, camera.sensor, seconds, gain))
+    values.set_numbers(**exposure_numbers(simulator, camera.sensor, seconds, gain, brightness))
     return Exposure(
         plan,
         camera,
@@ -365,6 +373,7 @@ def expose_values(
         values["blur"] or 0.0,
         values["shading"],
         is_rewritten=is_rewritten,
+        brightness=brightness,
     )
 
 
@@ -529,7 +538,7 @@ class _Shot(Parts):
             if name in models or name in times
         ]
         unbinned = replace(simulator.camera.sensor, analog_gain=camera.sensor.analog_gain)
-        account = plan.account.at(exposure.exposure_time)
+        account = plan.account.at(exposure.exposure_time * exposure.brightness)
         verdict = plan.verdict and account.verdict(simulator.tolerance, plan.verdict.remedy)
         return Report(
             {

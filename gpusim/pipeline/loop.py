@@ -4,6 +4,7 @@ import dataclasses
 import time
 from itertools import chain
 from math import prod
+from numbers import Real
 from operator import is_
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
@@ -12,7 +13,7 @@ from gpusim.color.rendering import Rendering
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content, Picture
-from gpusim.domain.errors import BadData, check_known
+from gpusim.domain.errors import BadData, OutOfRange, check_known, format_value
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
@@ -206,6 +207,7 @@ class Loop:
         self.capture, self._plan_of_capture = checked_capture(capture), plan
         self.simulator, self.scene, self.meters_late = simulator, checked_scene(scene), meters_late
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
+        self._brightness = 1.0
         self.before = SharedOptics(simulator.device) if before is None else before
         self._light = "metered light" if meters_late else "light"  # value with its statistics
         self.cache = self.before.cache if before is None else Cache(simulator.device)
@@ -231,12 +233,10 @@ class Loop:
         self._repeated: Scene | None = None  # the scene whose light their arrays hold
         self._begun: Scene | None = None  # the scene whose blur they have started
         self._checked: Content | None = None  # the content that was measured last
-        self._outputs, self._noted = (
-            0,
-            (None,),
-        )  # outputs in a row with the same settings, and these
+        self._outputs = 0  # outputs in a row with the same settings
+        self._noted: tuple = (None,)  # these
         self._patience = PATIENCE
-        self._served: tuple = (None,) * 5  # a plan that is usable, and for which settings
+        self._served: tuple = (None,) * 6  # a plan that is usable, and for which settings
         self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
@@ -254,6 +254,7 @@ class Loop:
         scene: Scene = SAME,
         exposure_time: float | None = SAME,
         gain: float = SAME,
+        brightness: float = SAME,
         drafts: bool = False,
     ) -> "Loop":
         """Change the camera, the scene or the exposure. Arguments that are left out stay as they are.
@@ -265,6 +266,8 @@ class Loop:
             scene: The new scene.
             exposure_time: Exposure time [s]; None uses the camera's.
             gain: Analog gain, next to the sensor's [1].
+            brightness: Factor on the scene's light [1]. Only what follows the blur runs again. The exposure's errors
+                are predicted for the brighter light; `plan.scene` is the scene without the factor.
             drafts: While a lens slider moves, reuse the last plan with new transfer tables, see
                 `gpusim.planner.draft`. Then `plan.is_draft` is True and errors are not predicted. An update without
                 drafts plans again.
@@ -274,14 +277,19 @@ class Loop:
 
         Raises:
             BadData: No camera or scene, or the given plan does not serve it.
-            OutOfRange: An exposure time or gain is not allowed.
+            OutOfRange: An exposure time, gain or brightness is not allowed.
         """
         simulator = self.simulator if camera is SAME else self.simulator.update(camera)
         seconds = self._exposure_time if exposure_time is SAME else checked_time(exposure_time)
         scene = self.scene if scene is SAME else checked_scene(scene)
         if self._fixed_plan is not None:
             check_given(self._fixed_plan, simulator.camera, scene)
+        factor = self._brightness if brightness is SAME else checked_brightness(brightness)
         self._gain = self._gain if gain is SAME else checked_gain(gain)
+        if factor != self._brightness:
+            self._brightness = factor
+            if seconds is None and self._fixed_plan is None:
+                self.before.plan = None  # it is for another operation of the camera
         self.scene, self._frame_exposure = scene, None
         self.simulator, self._exposure_time, self._drafts = simulator, seconds, drafts
         return self
@@ -313,7 +321,8 @@ class Loop:
                 probing.forget()
             facts = self._facts()
             least, words = probing.least(scene), probing.words
-            plan = before.cache("plan", _plan, simulator, scene, facts, seconds, least, words)
+            asked = seconds, least, self._brightness, words
+            plan = before.cache("plan", _plan, simulator, scene, facts, *asked)
             probing.set_plan(plan)
         before.plan = plan, camera
         return (self._drafts and self._draft()) or plan
@@ -331,13 +340,14 @@ class Loop:
         plan, by = self.before.plan or (None, None)
         if plan is None:
             return None
-        scene, settings = self.scene, (plan, by, self.simulator.camera, self._exposure_time)
+        scene, seconds, factor = self.scene, self._exposure_time, self._brightness
+        settings = plan, by, self.simulator.camera, seconds, factor
         served, *known = self._served
         is_known = plan is known[0] and scene is served
         if not (is_known or plan.scene is scene or plan.serves(scene)):
             return None
         if not all(map(is_, settings, known)) and (
-            self._needs_other_plan() or not plan.lasts(self._exposure_time)
+            self._needs_other_plan() or not plan.lasts(seconds and seconds * factor)
         ):
             return None
         self._served = scene, *settings
@@ -418,10 +428,13 @@ class Loop:
 
         seconds: exposure time [s]; None: the camera's choice.
         """
-        simulator, content = self.simulator, self.scene.content
+        simulator, content, cache = self.simulator, self.scene.content, self.before.cache
         # the device has decoded them
         stored = self.values["entries"] if isinstance(content, Picture) else None
-        return self.before.cache("probes", probe_plan, simulator, plan, self.scene, seconds, stored)
+        # the same for all views of a scene
+        facts = cache("facts of probes", facts_on_device, content, stored, simulator.device)
+        asked = simulator, plan, self.scene, seconds, facts, self._brightness
+        return cache("probes", probe_plan, *asked)
 
     def _facts(self):
         """Return facts of the scene. If the device computes them, the host reads only a few numbers."""
@@ -459,7 +472,7 @@ class Loop:
         Returns:
             The exposure, see `exposure`.
         """
-        settings = self.simulator, self._exposure_time, self._gain
+        settings = self.simulator, self._exposure_time, self._gain, self._brightness
         automatic = (
             self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
         )
@@ -481,7 +494,8 @@ class Loop:
         seconds, gain = self._choose_exposure()
         camera = self.cache("operated", operated_camera, simulator.camera, simulator.readout, gain)
         self._use("pictures", picture_steps, simulator, camera)
-        exposure = expose_values(values, simulator, plan, camera, seconds, gain, is_rewritten=True)
+        operation = seconds, gain, True, self._brightness
+        exposure = expose_values(values, simulator, plan, camera, *operation)
         if plan.scene is not scene or self.meters_late:
             self._start_check(plan, exposure.mean, seconds)
         self._last = exposure, plan, scene, *settings
@@ -527,6 +541,7 @@ class Loop:
         if self.meters_late and self._last_metered:
             found = self._last_metered
         else:
+            self.values.set_numbers(brightness=self._brightness)
             found = self._last_metered = self.values["metered"]
         self._frame_exposure = found if self.meters_late else None
         return found
@@ -638,7 +653,8 @@ class Loop:
     def _settings_of_repeat(self):
         """Return the objects that an output depends on, except the scene and the numbers of the frame."""
         plan = self.before.plan
-        return self.simulator, self._exposure_time, self._gain, plan and plan[0]
+        settings = self._exposure_time, self._gain, self._brightness
+        return self.simulator, *settings, plan and plan[0]
 
     def _start_again(self, repeat, numbers) -> bool:
         """Make an output with the commands of the last one; False if they do not serve the scene."""
@@ -799,7 +815,8 @@ class Loop:
     def account(self) -> Account:
         """Predicted errors of the scene's exposure, from the measurements made so far."""
         exposure = self.expose()
-        return self._annotate(exposure).account.at(exposure.exposure_time)
+        light_time = exposure.exposure_time * exposure.brightness
+        return self._annotate(exposure).account.at(light_time)
 
     def _annotate(self, exposure):
         """Return an exposure's plan with the errors predicted for the scene."""
@@ -810,21 +827,19 @@ class Loop:
             return plan
         probing = self.before.probing
         found = probing.annotate(plan, self.scene, self._drift)
-        seconds = exposure.exposure_time
-        if found.meets(seconds) or not probing.is_doubted(plan, self.scene):
+        light_time = exposure.exposure_time * exposure.brightness
+        if found.meets(light_time) or not probing.is_doubted(plan, self.scene):
             return found
         # an earlier scene may have had larger errors
         account = self._probe(plan, self._exposure_time)
         own = dataclasses.replace(plan.of(self.scene, None, account), probed="from this scene")
-        probing.confirm(own.meets(seconds))
+        probing.confirm(own.meets(light_time))
         return own
 
     def _predict_given(self):
         """Return the given plan, with the errors predicted for the scene."""
-        simulator, scene, seconds = self.simulator, self.scene, self._exposure_time
-        return self.before.cache(
-            "given", predict_errors, simulator, self._fixed_plan, scene, self._facts(), seconds
-        )
+        asked = self.scene, self._facts(), self._exposure_time, self._brightness
+        return self.before.cache("given", predict_errors, self.simulator, self._fixed_plan, *asked)
 
 
 def blurred_content(plan: Plan, scene: Scene) -> Content:
@@ -833,9 +848,17 @@ def blurred_content(plan: Plan, scene: Scene) -> Content:
     return scene.content if is_whole else plan.content
 
 
-def _plan(simulator, scene, facts, seconds, least, words) -> Plan:
+def _plan(simulator, scene, facts, seconds, least, brightness, words) -> Plan:
     """Return the plan of a scene. words: why it replaces another one."""
-    return dataclasses.replace(simulator.plan(scene, facts, seconds, least), probed=words)
+    plan = simulator.plan(scene, facts, seconds, least, brightness)
+    return dataclasses.replace(plan, probed=words)
+
+
+def checked_brightness(factor: float) -> float:
+    """Return a factor on the light. Raises OutOfRange."""
+    if not (isinstance(factor, Real) and 0 < factor < float("inf")):
+        raise OutOfRange("brightness", format_value(factor), "0 < brightness < inf")
+    return float(factor)
 
 
 def read_facts(scene: Scene, device) -> Facts:

@@ -47,6 +47,7 @@ def metering_steps(plan: Plan, sensor: Sensor, readout: Readout) -> list[Step]:
                 "pixels": layers * prod(plan.scene.shape),
                 "device": device,
             },
+            ("brightness",),
             rate=Rate.EXPOSURE,
             host="a single picture waits for a few numbers of its exposure; in a stream they come a frame late",
             run=choose_exposure,
@@ -105,6 +106,7 @@ def choose_exposure(
     automatic: AutoExposure,
     dark: float,
     saturation: float,
+    brightness: float = 1.0,
     device: Device | None = None,
 ) -> tuple[float, float]:
     """Return the exposure time [s] and analog gain that automatic exposure chooses.
@@ -116,6 +118,7 @@ def choose_exposure(
         automatic: Rules of automatic exposure.
         dark: Dark current [e- s-1].
         saturation: Electrons at saturation [e-].
+        brightness: Factor on the metered electrons [1].
         device: Device that holds the statistics; None: they are on the host.
 
     Returns:
@@ -125,7 +128,7 @@ def choose_exposure(
         BadData: The scene has no light, or light that is not finite.
     """
     light = light if device is None else device.numpy(light)
-    rates = LightStatistics(np.array(light), pixels).over(seconds).plus(dark)
+    rates = LightStatistics(np.array(light), pixels).over(seconds / brightness).plus(dark)
     return automatic.choose(rates, saturation)
 
 

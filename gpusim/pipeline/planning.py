@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from math import ceil, prod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from gpusim.optics.depth import DepthPlan, checked_confusion
 from gpusim.optics.lengths import LENGTHS
 from gpusim.optics.outside import BORDER_REACH
 from gpusim.pipeline.cache import same
-from gpusim.pipeline.reading import Reading, bytes_read_on_device, is_read_on_device
+from gpusim.pipeline.reading import bytes_read_on_device, is_read_on_device
 from gpusim.pipeline.step import steps_needed
 from gpusim.planner.choices import Goal
 from gpusim.planner.draft import TURNED
@@ -50,6 +50,7 @@ def make_plan(
     facts: Facts | None = None,
     exposure_time: float | None = None,
     least: int = 0,
+    brightness: float = 1.0,
 ) -> Plan:
     """Return the plan of a scene, see `Simulator.plan`."""
     checked_scene(scene)
@@ -78,6 +79,7 @@ def make_plan(
             on_gpu=device.is_gpu,
             **_plan_options(simulator),
             least=least,
+            brightness=brightness,
         )
     _require_met(simulator, made)
     needed = require_memory(made, simulator)
@@ -163,7 +165,12 @@ def _shorten(value):
 
 
 def predict_errors(
-    simulator: "Simulator", made: Plan, scene: Scene, facts: Facts, exposure_time: float | None
+    simulator: "Simulator",
+    made: Plan,
+    scene: Scene,
+    facts: Facts,
+    exposure_time: float | None,
+    brightness: float = 1.0,
 ) -> Plan:
     """Return a given plan with the errors predicted for a scene, and a verdict for this simulator's tolerance.
 
@@ -174,6 +181,7 @@ def predict_errors(
     is_own = made.scene is scene or same(made.scene, scene)
     is_judged = (
         is_own
+        and brightness == 1
         and not made.planned_for
         and made.single == single
         and made.tolerance == tolerance
@@ -190,26 +198,29 @@ def predict_errors(
         question = Question.of(
             scene, simulator.camera, facts, tolerance or made.tolerance, **_plan_options(simulator)
         )
-        made = judge_given(made, question, exposure_time, tolerance, single)
+        made = judge_given(made, question, exposure_time, tolerance, single, brightness)
         made = replace(made, left_out=[*made.left_out, *simulator.left_out])
     _require_met(simulator, made)
     return replace(made, scene=scene)
 
 
 def probe_plan(
-    simulator: "Simulator", made: Plan, scene: Scene, seconds: float | None, stored: Any = None
+    simulator: "Simulator",
+    made: Plan,
+    scene: Scene,
+    seconds: float | None,
+    facts: Facts,
+    brightness: float = 1.0,
 ) -> Account:
     """Return a plan's errors in another scene that it serves.
 
-    seconds: exposure time [s]; None: the camera's choice. stored: the scene's samples on the device, see `Reading`.
+    seconds: exposure time [s]; None: the camera's choice. facts: Of the scene. brightness: factor on its light.
     """
-    facts = Facts(scene.content, None, Reading(simulator.device, scene.content, stored))
     question = Question.of(
         scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
     )
-    return judge_given(
-        made, question, seconds, simulator.tolerance, simulator.device.kind != "numpy"
-    ).account
+    single = simulator.device.kind != "numpy"
+    return judge_given(made, question, seconds, simulator.tolerance, single, brightness).account
 
 
 def probes_for(simulator: "Simulator", scene: Scene, view: View, seconds: float) -> Probes:

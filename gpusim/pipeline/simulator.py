@@ -350,6 +350,7 @@ class Simulator:
         facts: Facts | None = None,
         exposure_time: float | None = None,
         least: int = 0,
+        brightness: float = 1.0,
     ) -> Plan:
         """Return the plan of a scene.
 
@@ -360,11 +361,12 @@ class Simulator:
             facts: Facts of the scene, if known.
             exposure_time: Exposure time [s]; None uses the camera's.
             least: Minimum number of planes of the blur.
+            brightness: Factor on the scene's light, see `Loop.update`.
 
         Returns:
             The plan.
         """
-        return make_plan(self, scene, facts, exposure_time, least)
+        return make_plan(self, scene, facts, exposure_time, least, brightness)
 
     def expose(
         self,

@@ -1,8 +1,9 @@
 """Numbers that the planner reads from a scene's pixels, each once."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy
@@ -16,6 +17,7 @@ from gpusim.optics.sampling import Moments, moments
 # times the mean of all pairs' light from which on a pair of rows is looked at for certain
 MUCH = 16
 MOST_BRIGHT = 32  # such pairs
+PLAIN = (str, bytes, int, float, tuple)
 
 
 class Samples(Protocol):
@@ -83,6 +85,17 @@ class Facts:
         self.content, self.depth, self.samples = content, depth, samples or OnHost(content)
         self._brightness: tuple[bytes, np.ndarray] | None = None
         self._channels: tuple[bytes, np.ndarray] | None = None
+        self._held: dict[str, tuple[tuple, Any]] = {}
+
+    def hold(self, name: str, key: tuple, make: Callable[[], Any]) -> Any:
+        """Return `make()`, which depends only on the content and the key; the last result of a name is kept.
+
+        Arrays and settings in the key are equal only if they are the same object. Threads may share facts.
+        """
+        found = self._held.get(name)
+        if found is None or not all(map(_is_same, found[0], key)):
+            found = self._held[name] = key, make()
+        return found[1]
 
     @classmethod
     def of(cls, scene: Scene) -> "Facts":
@@ -150,7 +163,16 @@ class Facts:
 
     def moments(self, weights) -> Moments:
         """Moments of the channels `weights` (C, L)."""
-        return moments(self.pairs, self.channels(weights), self._rows[1])
+        return self.hold(
+            "moments",
+            (weights.tobytes(),),
+            lambda: moments(self.pairs, self.channels(weights), self._rows[1]),
+        )
+
+
+def _is_same(a, b):
+    """Return True if two parts of a key are equal, or the same object if they are no numbers or texts."""
+    return a is b or (isinstance(a, PLAIN) and isinstance(b, PLAIN) and bool(a == b))
 
 
 def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
@@ -182,7 +204,7 @@ class Operation:
     """Operation of a camera.
 
     Attributes:
-        seconds: Exposure time [s].
+        seconds: Exposure time, times the brightness of the scene's light [s].
         size: Root mean square of the mosaic [e- s-1].
         noise: Variance of the read noise [e-2].
     """

@@ -69,6 +69,7 @@ def judge_given(
     exposure_time: float | None,
     asked: Tolerance | None,
     single: bool,
+    brightness: float = 1.0,
 ) -> Plan:
     """Return the plan for another scene that it serves, with all errors predicted for that scene.
 
@@ -78,12 +79,13 @@ def judge_given(
         exposure_time: [s], or None.
         asked: Tolerance of the verdict, or None.
         single: See `gpusim.planner.plan.plan`.
+        brightness: Likewise.
 
     Raises:
         BadData, OutOfRange: As `plan` does.
     """
     camera, picture, notes, probes = question.camera, highlights.whole(question), Notes(), None
-    operation = picture.operation(question, exposure_time)
+    operation = picture.operation(question, exposure_time, brightness)
     form, taps = plan.find(Blur), plan.find(Sampling)
     if form and picture.is_spiky and highlights.can_be_split(question):
         notes.leave_out(

@@ -353,6 +353,7 @@ def plan(
     single: bool = True,
     on_gpu: bool = False,
     least: int = 0,
+    brightness: float = 1.0,
 ) -> Plan:
     """Return the plan for frames of a scene by a camera.
 
@@ -378,6 +379,8 @@ def plan(
         on_gpu: Whether a GPU computes the frames.
         least: Least number of blurred planes, if scenes of this kind were found to need them; 0: the
             blur may be left out.
+        brightness: Factor on the scene's light. The account is for as much light, at the exposure time
+            times this factor.
 
     Raises:
         BadData: The wavelengths of scene and sensor do not overlap.
@@ -397,7 +400,8 @@ def plan(
         least=least,
     )
     question, picture = highlights.split(question)
-    notes, operation, probes = Notes(), picture.operation(question, exposure_time), None
+    operation = picture.operation(question, exposure_time, brightness)
+    notes, probes = Notes(), None
     blurred = question
     if tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)

@@ -5,7 +5,8 @@ transfer functions times the window's own spectra. A transform repeats a window;
 shows that, does not count.
 """
 
-from dataclasses import dataclass, replace
+from copy import copy
+from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -104,6 +105,25 @@ class Probes:
     apart: float | None = None
     inner: tuple[int, int] = (INNER, INNER)
     channels: np.ndarray | None = None
+    # computed once: of the windows' light, through any lens; and behind this lens, in any operation of the camera
+    _parts: dict = field(init=False, repr=False, default_factory=dict)
+    _seen: dict = field(init=False, repr=False, default_factory=dict)
+
+    def at(self, seconds: float, noise: float) -> "Probes":
+        """Return the same windows at another exposure time [s] and variance of the read noise [e-2]."""
+        self._light, self.signal  # noqa: B018  computed once for all
+        made = copy(self)
+        for name, value in (("seconds", seconds), ("noise", noise)):
+            object.__setattr__(made, name, value)
+        for name in ("_sigma", "without_blur", "sharp"):
+            made.__dict__.pop(name, None)
+        return made
+
+    def _through(self, tables) -> "Probes":
+        """The same windows through another lens."""
+        made = replace(self, tables=tables)
+        object.__setattr__(made, "_parts", self._parts)
+        return made
 
     @classmethod
     def of(cls, facts: Facts, windows: Windows, border: str, **known) -> "Probes":
@@ -167,9 +187,11 @@ class Probes:
 
     def bound(self, wrong) -> Bound:
         """The error of channels whose transforms are wrong by so much, complex (n, C, SIDE, SIDE // 2 + 1)."""
+        return self._bound_of(self._error_of(wrong)) if self._light.size > 0 else Bound()
+
+    def _error_of(self, wrong):
+        """Return the relative root mean square of such an error, and the error of each pixel [e- s-1]."""
         light = self._light
-        if not light.size > 0:
-            return Bound()
         error = np.abs(self._inside(wrong))
         weight = self.windows.weight[:, None] * self.share
         squares = (weight * _mean_squares(error)).sum()
@@ -180,6 +202,12 @@ class Probes:
             if light.by_pixel > 0 and by_pixel * light.by_share > UNEVEN * squares * light.by_pixel:
                 uneven = light.by_share / light.by_pixel if self.apart is None else 1.0
                 rms *= np.sqrt(by_pixel / squares * uneven)
+        return rms, error
+
+    def _bound_of(self, found) -> Bound:
+        """Return an error of `_error_of` with its figures in noise."""
+        rms, error = found
+        weight = self.windows.weight[:, None] * self.share
         sigma = error * (self.seconds / self._sigma.pixels)
         return Bound(
             float(rms), quantile(sigma, weight, 0.999), float(sigma.max() * self.windows.steepest)
@@ -194,14 +222,20 @@ class Probes:
     @cached_property
     def sharp(self) -> "Probes":
         """The same windows through a lens without blur."""
-        return replace(self, tables=np.broadcast_to(self.tables[:, :1, :1], self.tables.shape))
+        if "sharp" not in self._seen:
+            tables = np.broadcast_to(self.tables[:, :1, :1], self.tables.shape)
+            self._seen["sharp"] = self._through(tables)
+        return self._seen["sharp"].at(self.seconds, self.noise)
 
     @cached_property
     def without_blur(self) -> Bound:
         """The error of leaving the blur out."""
-        return self.bound(
-            _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra) - self.exact
-        )
+        if not self._light.size > 0:
+            return Bound()
+        if "without blur" not in self._seen:
+            sharp = _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra)
+            self._seen["without blur"] = self._error_of(sharp - self.exact)
+        return self._bound_of(self._seen["without blur"])
 
     def change_error(self, share: float) -> Bound:
         """Return a bound of the error of transfer functions wrong by up to `share`; 1 is the error without blur."""
@@ -228,14 +262,17 @@ class Probes:
 
     def _magnify(self, zoom: float) -> "Probes":
         """The same windows if the lens blurs a magnified picture: waves of f cycles per sample become f / zoom."""
-        places = np.meshgrid(
-            np.fft.fftfreq(SIDE, 1 / SIDE) / zoom, np.arange(SIDE // 2 + 1) / zoom, indexing="ij"
-        )
-        tables = [
-            scipy.ndimage.map_coordinates(one, places, order=1, mode="grid-wrap")
-            for one in self.tables
-        ]
-        return replace(self, tables=np.stack(tables))
+        if not any(self.tables.strides[1:]):  # the same for all waves
+            return self
+        tables = self.tables  # interpolated along both axes; a zoom of 1 or more never leaves them
+        for axis, at in ((1, np.fft.fftfreq(SIDE, 1 / SIDE)), (2, np.arange(SIDE // 2 + 1))):
+            first, part = np.divmod(at / zoom, 1)
+            part = part[:, None] if axis == 1 else part
+            lower, upper = (
+                np.take(tables, (first + k).astype(int), axis, mode="wrap") for k in (0, 1)
+            )
+            tables = lower + part * (upper - lower)
+        return self._through(tables)
 
     def interpolation_bound(self, phases=None, width: float | None = None) -> Bound:
         """The error of a picture that `optics.distort` interpolates: see `interpolation_error`.
@@ -256,18 +293,29 @@ class Probes:
 
         Cubics would fall below 0 next to it.
         """
+        if "area" in self._seen:
+            return self._seen["area"]
+        if "area" not in self._parts:
+            self._parts["area"] = self._spectra_by_area()
+        found = np.zeros_like(self.exact)
+        for n, part in self._parts["area"].items():
+            found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+        self._seen["area"] = found
+        return found
+
+    def _spectra_by_area(self) -> dict[int, np.ndarray]:
+        """Transforms of the wavelengths' light that is taken by area, by windows that have such light."""
         means = (self.means @ self.weights.T)[..., None, None]
         light = np.maximum(
             scipy.fft.irfft2(_mix(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
         )
-        left, found = [1 - interpolated_share(one) for one in light], np.zeros_like(self.exact)
-        for n, share in enumerate(left):
+        found = {}
+        for n, share in enumerate(1 - interpolated_share(one) for one in light):
             if share.any():
                 planes = (
                     scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
                 )
-                part = scipy.fft.rfft2((planes * share).astype(np.float32))
-                found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+                found[n] = scipy.fft.rfft2((planes * share).astype(np.float32))
         return found
 
     def between(self, step: float, path: float) -> Bound:

@@ -1,28 +1,6 @@
 // One pixel of all PLANES that share a grid per work-item: its place and weights are found once.
-// Places stay differences from the pixel's own index: float32 then keeps its fractions.
-
-#include "border.clh"
-
 #ifdef PLANES
-float4 keys(const float s)  // weights of the samples -1, 0, 1, 2 at s in 0 .. 1
-{
-    const float r = 1.0f - s;
-    return 0.5f * (float4)(-s * r * r, 2.0f - s * s * (5.0f - 3.0f * s), 2.0f - r * r * (5.0f - 3.0f * r), -r * s * s);
-}
-
-// First of four nodes and the weights of all for half-pixel number `half_steps` of 2 n, 0 the frame's edge. Whole numbers
-// while possible: the fraction is then equally exact in the first and the last cell.
-int nodes(const int half_steps, const int n, const int count, float *weights)
-{
-    const int at = half_steps * (count - 1);
-    const int first = clamp((int)(at * (0.5f / n)) - 1, 0, count - 4);
-    const float s = (at - first * 2 * n) * (0.5f / n), s1 = s - 1.0f, s2 = s - 2.0f, s3 = s - 3.0f;
-    weights[0] = s1 * s2 * s3 * (-1.0f / 6.0f);
-    weights[1] = s * s2 * s3 * 0.5f;
-    weights[2] = s * s1 * s3 * -0.5f;
-    weights[3] = s * s1 * s2 * (1.0f / 6.0f);
-    return first;
-}
+#include "distort.clh"
 
 // Grids interpolated along the columns, once for every half-pixel row that the pixels' centres and corners lie on.
 __kernel void along_columns(
@@ -41,21 +19,6 @@ __kernel void along_columns(
 #pragma unroll
     for (int a = 0; a < 4; ++a) total += w[a] * grids[((size_t)m * ny + i + a) * values + j];
     lines[((size_t)m * (2 * rows + 1) + half_y) * values + j] = total;
-}
-
-// Values at half-pixel column half_x of a line: row difference, column difference, flux factor.
-float3 place(__global const float *restrict line, const int half_x, const int nx, const int cols)
-{
-    float w[4];
-    const int j = nodes(half_x, cols, nx, w);
-    float v = 0.0f, u = 0.0f, flux = 0.0f;
-#pragma unroll
-    for (int b = 0; b < 4; ++b) {
-        v += w[b] * line[(j + b) * 3];
-        u += w[b] * line[(j + b) * 3 + 1];
-        flux += w[b] * line[(j + b) * 3 + 2];
-    }
-    return (float3)(v, u, flux);
 }
 
 __kernel void cubic(
@@ -99,24 +62,6 @@ __kernel void cubic(
         }
 #pragma unroll
     for (int p = 0; p < PLANES; ++p) out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = at.z * total[p];
-}
-
-float mean_clamped(const float t0, const float t1)  // mean of clamp(t, 0, 1) over t between t0 and t1
-{
-    // (difference of the antiderivatives) / (t1 - t0), arranged without cancellation for t1 close to t0
-    const float low = fmin(t0, t1), high = fmax(t0, t1), d = high - low;
-    const float a = clamp(low, 0.0f, 1.0f), b = clamp(high, 0.0f, 1.0f);
-    const float sum = (b - a) * (0.5f * (a + b)) + (fmax(high, 1.0f) - fmax(low, 1.0f));
-    return d > 0.0f ? sum / d : a;
-}
-
-// Signed area within the unit square between its lower side and the edge (x0, y0) -> (x1, y1).
-float below(const float y0, const float x0, const float y1, const float x1)
-{
-    const float d = x1 - x0, a = clamp(x0, 0.0f, 1.0f), b = clamp(x1, 0.0f, 1.0f);
-    const float per = d != 0.0f ? 1.0f / d : 0.0f;
-    const float t0 = clamp((a - x0) * per, 0.0f, 1.0f), t1 = clamp((b - x0) * per, 0.0f, 1.0f);
-    return (b - a) * mean_clamped(y0 + t0 * (y1 - y0), y0 + t1 * (y1 - y0));
 }
 
 // Part of the samples next to a cell, outside of it, that its interpolants can take without falling below 0: the least
@@ -193,37 +138,7 @@ __kernel void clear(
     out[((size_t)p * rows + y) * cols + x] = 0.0f;
 }
 
-#ifndef COVERS
-#define COVERS 0
-#endif
-// 4 x 4 samples: neighbours, or folded back at the border. rows: where these begin; columns: from there on.
-void load(__global const float *restrict plane, const int is_inside, const int4 rows, const int4 columns, float4 *values)
-{
-    const int row[4] = {rows.x, rows.y, rows.z, rows.w};
-    if (is_inside) {
-#pragma unroll
-        for (int k = 0; k < 4; ++k) values[k] = vload4(0, plane + row[k] + columns.x);
-    } else {
-#pragma unroll
-        for (int k = 0; k < 4; ++k) {
-            __global const float *at = plane + row[k];
-            values[k] = (float4)(at[columns.x], at[columns.y], at[columns.z], at[columns.w]);
-        }
-    }
-}
-
-// Whether light comes from line i of n. (NVIDIA 580 mistook line numbers that were compared with clamped ones.)
-float lit(const int i, const int n) { return BORDER != 0 || (i >= 0 && i < n) ? 1.0f : 0.0f; }
-
-float total_of(const float4 *values, const float *weights)
-{
-    float4 total = (float4)(0.0f);
-#pragma unroll
-    for (int k = 0; k < 4; ++k) total += vload4(k, weights) * values[k];
-    return (total.x + total.y) + (total.z + total.w);
-}
-
-// As `cubic`, of each sample's share; the rest of it by area, over the 4 x 4 samples that the cubic takes.
+// Samples by their shares, see `pixel`.
 __kernel void limited(
     // in:
     __global const float *restrict planes, __global const float *restrict lines, __global const float *restrict share,
@@ -240,98 +155,7 @@ __kernel void limited(
     GUARD(dx >= wide || dy >= high || m >= maps)
     __global const float *line = lines + ((size_t)m * (2 * rows + 1) + 2 * y) * nx * 3;
     const float3 at = place(line + 3 * nx, 2 * x + 1, nx, cols);
-    const float floor_y = floor(at.x), floor_x = floor(at.y);
-    const int first_y = y + (int)floor_y - 1, first_x = x + (int)floor_x - 1;
-    const float4 wy = keys(at.x - floor_y), wx = keys(at.y - floor_x);
-    const float in_y[4] = {wy.x, wy.y, wy.z, wy.w};
-    const int is_inside = first_y >= 0 && first_x >= 0 && first_y + 4 <= source_rows && first_x + 4 <= source_cols;
-#if !COVERS
-    if (is_inside) {
-        __global const float *of_light = share + (size_t)first_y * source_cols + first_x;
-        const float4 all = fmin(fmin(vload4(0, of_light), vload4(0, of_light + source_cols)),
-                                fmin(vload4(0, of_light + 2 * source_cols), vload4(0, of_light + 3 * source_cols)));
-        if (fmin(fmin(all.x, all.y), fmin(all.z, all.w)) >= 1.0f) {  // nearly everywhere: as `cubic`
-#pragma unroll
-            for (int p = 0; p < PLANES; ++p) {
-                __global const float *source = planes + ((size_t)(m * PLANES + p) * source_rows + first_y) * source_cols + first_x;
-                const float4 sums = wy.x * vload4(0, source) + wy.y * vload4(0, source + source_cols) +
-                                    wy.z * vload4(0, source + 2 * source_cols) + wy.w * vload4(0, source + 3 * source_cols);
-                out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = at.z * dot(sums, wx);
-            }
-            return;
-        }
-    }
-#endif
-    const int4 at_x = first_x + (int4)(0, 1, 2, 3);
-    const int4 sx = (int4)(inside(at_x.x, source_cols, BORDER), inside(at_x.y, source_cols, BORDER),
-                           inside(at_x.z, source_cols, BORDER), inside(at_x.w, source_cols, BORDER));
-    const float4 lit_x = (float4)(lit(at_x.x, source_cols), lit(at_x.y, source_cols), lit(at_x.z, source_cols),
-                                  lit(at_x.w, source_cols));
-    float w[16], rest[16];
-    float4 lowest = (float4)(1.0f), values[4];
-    int line_of[4];
-#if COVERS
-    float of_cover[16], parts[16];
-#endif
-#pragma unroll
-    for (int k = 0; k < 4; ++k) line_of[k] = inside(first_y + k, source_rows, BORDER) * source_cols;
-    const int4 from = (int4)(line_of[0], line_of[1], line_of[2], line_of[3]);
-    load(share, is_inside, from, sx, values);
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-        const float4 part = values[k];
-        const float4 kept = lit(first_y + k, source_rows) * lit_x;
-        lowest = fmin(lowest, part);
-        vstore4(at.z * in_y[k] * wx * part * kept, k, w);
-        vstore4((1.0f - part) * kept, k, rest);
-#if COVERS
-        vstore4(part, k, parts);
-        vstore4(in_y[k] * wx * part, k, of_cover);  // coverage goes on beyond a dark border
-#endif
-    }
-    const float least = fmin(fmin(lowest.x, lowest.y), fmin(lowest.z, lowest.w));
-    if (least < 1.0f) {  // rarely
-        const float3 c00 = place(line, 2 * x, nx, cols);
-        const float3 c10 = place(line + 6 * nx, 2 * x, nx, cols);
-        const float3 c11 = place(line + 6 * nx, 2 * x + 2, nx, cols);
-        const float3 c01 = place(line, 2 * x + 2, nx, cols);
-        // corners from the first sample
-        const float y00 = c00.x - floor_y + 1.0f, y10 = c10.x - floor_y + 2.0f;
-        const float y11 = c11.x - floor_y + 2.0f, y01 = c01.x - floor_y + 1.0f;
-        const float x00 = c00.y - floor_x + 1.0f, x10 = c10.y - floor_x + 1.0f;
-        const float x11 = c11.y - floor_x + 2.0f, x01 = c01.y - floor_x + 2.0f;
-        const float top_y = fmin(fmin(y00, y01), fmin(y10, y11)), end_y = fmax(fmax(y00, y01), fmax(y10, y11));
-        const float top_x = fmin(fmin(x00, x01), fmin(x10, x11)), end_x = fmax(fmax(x00, x01), fmax(x10, x11));
-        float overlaps[16], whole = 0.0f;
-        for (int k = 0; k < 16; ++k) {
-            const float a = k / 4, b = k % 4;
-            overlaps[k] = 0.0f;
-            if (a >= end_y || b >= end_x || a + 1.0f <= top_y || b + 1.0f <= top_x) continue;
-            const float overlap = below(y00 - a, x00 - b, y10 - a, x10 - b) + below(y10 - a, x10 - b, y11 - a, x11 - b)
-                                + below(y11 - a, x11 - b, y01 - a, x01 - b) + below(y01 - a, x01 - b, y00 - a, x00 - b);
-            overlaps[k] = fmax(overlap, 0.0f);
-            whole += overlaps[k];
-        }
-        const float per = at.z / whole;
-        for (int k = 0; k < 16; ++k) w[k] += per * overlaps[k] * rest[k];
-#if COVERS
-        for (int k = 0; k < 16; ++k) of_cover[k] += overlaps[k] / whole * (1.0f - parts[k]);
-#endif
-    }
-#if COVERS
-    for (int p = 0; m == 0 && p < COVERS; ++p) {  // by the first grid
-        load(cover + (size_t)p * source_rows * source_cols, is_inside, from, sx, values);
-        out[((size_t)(maps * PLANES + p) * rows + y) * cols + x] = total_of(values, of_cover);
-    }
-    load(cover, is_inside, from, sx, values);
-#pragma unroll
-    for (int k = 0; k < 4; ++k) vstore4(vload4(k, w) * values[k], k, w);
-#endif
-#pragma unroll
-    for (int p = 0; p < PLANES; ++p) {
-        load(planes + (size_t)(m * PLANES + p) * source_rows * source_cols, is_inside, from, sx, values);
-        out[((size_t)(m * PLANES + p) * rows + y) * cols + x] = total_of(values, w);
-    }
+    pixel(planes, line, share, cover, out, at, x, y, m, source_rows, source_cols, nx, maps, rows, cols);
 }
 
 #ifdef SPAN

@@ -28,7 +28,9 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common.border import BORDERS, extend
-from gpusim.kernels.stage import Array, Case, stage, warp_only
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
+
+LANES_STAGE = "optics.distort_lanes"
 
 TILE = 4, 64  # pixels of a work-group, whose samples overlap; as in distort_warp.py
 
@@ -114,6 +116,20 @@ def distort(
             launch("clear", out.shape, out, *out.shape)
     share = shares(device, light, border, lit) if share is None else device.array(share)
     (top, left), size = _corner(window, shape)
+    if is_opencl_cpu(device) and not values:
+        inputs = planes, lines, share, out, top, left
+        rows_ = maps, size[0], 1
+        device.launch(
+            LANES_STAGE,
+            "limited",
+            rows_,
+            *inputs,
+            *sizes,
+            size[1],
+            defines=defines,
+            group=(1, 1, 1),
+        )
+        return out
     launch(
         "limited",
         _tiles(device, (maps, *size)),
@@ -226,6 +242,9 @@ def cases():
         (63, 65, 3, 0.1, 0.0, "zero"),
         (40, 200, 1, -0.1, 0.3, "reflect"),
         (63, 65, 1, 0.1, 0.8, "edge"),
+        # neighbours show neighbouring samples, but for some that are shown twice or left out
+        (24, 203, 1, -0.06, 0.002, "edge"),
+        (24, 203, 1, 0.06, 0.002, "zero"),
     ):
         grids = _barrels((rows, cols), 16, strength, turn, maps)
         planes = random.random((3, rows, cols)) ** 8  # 12 : 1 and more between neighbours

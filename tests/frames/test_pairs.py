@@ -224,6 +224,30 @@ def test_a_photograph_is_read_once(vary, photographs):
     assert seen == paths
 
 
+@pytest.mark.parametrize("vary", ["luminance=2..900", "exposure=1/500..1/20,luminance=2..900"])
+def test_a_drawn_luminance_is_that_of_a_scene_opened_with_it(vary, photographs, tmp_path, capsys):
+    """Light, exposure and predicted errors; the blur of a photograph runs once."""
+    asked = ["--camera", "phone", "--device", "opencl", "--tolerance", "video", "--each", 4]
+    made(capsys, sorted(photographs.iterdir())[1], *asked, "--vary", vary, "-o", tmp_path / "a")
+    simulator = gs.Simulator(gs.open_camera("phone"), device="opencl", tolerance="video")
+    for number, sample in enumerate(samples(tmp_path / "a").values()):
+        told = json.loads(sample["json"])
+        scene = gs.open_scene(sorted(photographs.iterdir())[1], luminance=told["luminance"])
+        plan = simulator.plan(scene, exposure_time=told.get("exposure"))
+        exposure = simulator.expose(scene, told.get("exposure"), plan=plan)
+        assert told["exposure_time_s"] == pytest.approx(exposure.exposure_time, rel=2e-6)
+        clean, raw = (np.load(io.BytesIO(sample[f"{name}.npy"])) for name in ("clean", "raw"))
+        expected = told["black_level"] + told["gain_dn_per_e"] * np.asarray(exposure.mean)
+        # two transforms of other light, each 2.5e-7 RMS (TRANSFORM_ERROR), four times that in the worst pixel
+        assert np.abs(clean - expected).max() < 2e-6 * np.sqrt(np.mean(expected**2))
+        # a rounded value changes where noise and mean are within 2e-6 of a step: seldom
+        assert np.mean(raw != np.asarray(exposure.raw(first=number))) < 0.01
+        account = plan.account.at(exposure.exposure_time)
+        assert told["predicted_rms"] == pytest.approx(account.total.rms, rel=1e-5)
+        verdict = account.verdict(simulator.tolerance).as_dict()
+        assert told["verdict"] == json.loads(json.dumps(verdict))
+
+
 @pytest.mark.parametrize(
     "options", [{"light": "A"}, {"luminance": 30.0}, {"light": "FL11", "luminance": 250.0}]
 )

@@ -352,3 +352,33 @@ def test_mistakes_are_said_in_one_line():
             ask()
     with pytest.raises(UnknownName, match="light"):
         gs.picture(codes, light=None)
+
+
+@pytest.mark.parametrize("seconds", [0.004, None])
+@pytest.mark.parametrize("device", KINDS)
+def test_brighter_light_is_that_of_a_brighter_scene(device, seconds, scene):
+    """A power of two rounds nothing. Errors are predicted for the brighter scene, and the blur is reused."""
+    camera = camera_with(BASE, sensor={"exposure_time": seconds})
+    simulator = gs.Simulator(camera, device=device, tolerance="video")
+    loop = simulator.loop(scene)
+    first = np.array(simulator.device.numpy(loop.raw(seed=3)))
+    loop.update(brightness=4.0)
+    with simulator.device.timed() as ms:
+        raw = loop.raw(seed=3)
+    if seconds is not None:
+        assert "optics.mosaic" not in ms and "optics.tiles" not in ms
+    raw = np.array(simulator.device.numpy(raw))
+    expected = gs.Simulator(camera, device=device, tolerance="video").loop(scene.brighten(4.0))
+    frame = expected.frame(seed=3)
+    np.testing.assert_array_equal(raw, frame.raw)
+    assert loop.frame(seed=3).exposure_time == frame.exposure_time
+    errors, own = (one.account.total for one in (loop, expected))
+    assert errors.rms == pytest.approx(own.rms, rel=1e-9)
+    # of a plan that was made for darker light, an upper bound
+    assert errors.p999_sigma >= own.p999_sigma * (1 - 1e-9)
+    if seconds is None:  # it is planned for the brighter light
+        assert errors.p999_sigma == pytest.approx(own.p999_sigma, rel=1e-9)
+    again = loop.update(brightness=1.0).raw(seed=3)
+    np.testing.assert_array_equal(np.array(simulator.device.numpy(again)), first)
+    with pytest.raises(OutOfRange):
+        loop.update(brightness=0.0)

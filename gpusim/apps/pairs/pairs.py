@@ -32,11 +32,21 @@ from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.loop import Loop, read_facts
 from gpusim.pipeline.reading import is_read_on_device
 from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 
 HELD = 2**29  # bytes of scenes that are read ahead, and of samples that wait for their encoding
 SHOTS = 2  # computed samples that wait between two threads
 LISTED = 4096  # samples of scenes that are read ahead
+UNIT = 100.0  # [cd m-2] of scenes whose light is scaled to a drawn luminance
+
+
+@dataclass(frozen=True, eq=False)
+class _Read:
+    """A photograph's scene in one light, and its facts; None: each plan reads its own."""
+
+    scene: Scene
+    facts: Facts | None
 
 
 @dataclass(frozen=True)
@@ -76,8 +86,8 @@ class Pairs:
     """Noisy and clean frames of photographs.
 
     Each pair depends only on its photograph, its number and the seed, whichever others the run
-    makes. A photograph is read and planned once for neighbouring pairs that show the same light; with
-    a tolerance each drawn exposure time has its own plan.
+    makes. A photograph is read and blurred once for neighbouring pairs that show the same light,
+    whatever its luminance. With a tolerance each drawn exposure time and luminance has its own plan.
 
     Args:
         simulator: Camera and device.
@@ -91,7 +101,8 @@ class Pairs:
         capture: Capture of each pair. The frames of a capture that is not merged are on a first
             axis.
         relit: Function from a path, the scene `opened(path, {})` and drawn values of the light to
-            the scene in this light. None: `opened` reads the file again for each light.
+            the scene in this light. None: `opened` reads the file again for each light. A luminance
+            only scales the light.
 
     Attributes:
         pace: Times of the steps of `files`.
@@ -125,8 +136,9 @@ class Pairs:
 
     def open(self, number: int) -> Scene:
         """Return the scene of a pair."""
-        key = self._key(number, self._variety.draw(self._seed, number))
-        return self._lit(key, self._read(key))
+        values = self._variety.draw(self._seed, number)
+        scene = self._read(self._key(number, values))
+        return self._lit(number, scene, scene_options(values))
 
     def files(self, numbers: Iterable[int]) -> Generator[tuple[str, dict[str, bytes]], None, None]:
         """Yield key and files by suffix of each pair; see `gpusim pairs --help`.
@@ -175,7 +187,8 @@ class Pairs:
         key = self._key(number, values)
         if self._last is None or self._last[0] != key:
             self._last = None
-            self._last = key, self._prepare(key, self._read(key))
+            lit = self._light(key, self._read(key))
+            self._last = key, self._prepare(key, lit)
         return self._finish(self._compute(number, values, self._last[1]))
 
     @cached_property
@@ -183,10 +196,23 @@ class Pairs:
         """The function from an ISO speed to the sensor's analog gain."""
         return gains_of(self._simulator.camera.sensor)
 
+    @property
+    def _is_scaled(self) -> bool:
+        """True if a scene is read at UNIT, and its light scaled to the drawn luminance."""
+        return self._relit is not None and self._plan is None and self._capture is None
+
     def _key(self, number, values) -> tuple:
-        """Return the number of a pair's photograph, and the drawn values that its scene and plan depend on."""
-        seconds = None if self._simulator.tolerance is None else values.get("exposure")
-        return number // self._each, tuple(scene_options(values).items()), seconds
+        """Return the number of a pair's photograph, its light, and what else its plan depends on."""
+        light, more = scene_options(values), tuple[Any, ...]()
+        if self._simulator.tolerance is not None:
+            more = values.get("exposure"), self._brightness(values)
+        if self._is_scaled and "luminance" in light:
+            light["luminance"] = UNIT
+        return number // self._each, tuple(light.items()), more
+
+    def _brightness(self, values) -> float:
+        """Return the factor on the light of a pair's scene."""
+        return values.get("luminance", UNIT) / UNIT if self._is_scaled else 1.0
 
     def _read(self, key) -> Scene:
         """Return the scene of a photograph, before `_relit` changes its light."""
@@ -195,32 +221,46 @@ class Pairs:
             self._photographs[photograph], {} if self._relit is not None else dict(light)
         )
 
-    def _lit(self, key, scene: Scene) -> Scene:
-        """Return a scene that was read in its drawn light."""
-        photograph, light, _ = key
+    def _lit(self, number, scene: Scene, light: dict) -> Scene:
+        """Return the scene of a pair that was read in its light."""
         if self._relit is None or not light:
             return scene
-        return self._relit(self._photographs[photograph], scene, dict(light))
+        return self._relit(self._photographs[number // self._each], scene, light)
 
-    def _prepare(self, key, scene: Scene) -> _Ready:
-        """Return a scene in its light, and its plan if the loop needs none of its own."""
-        scene, simulator, seconds = self._lit(key, scene), self._simulator, key[-1]
+    def _light(self, key, scene: Scene) -> _Read:
+        """Return a scene that was read in its light, and its facts if they are read here."""
+        photograph, light, _ = key
+        scene, device = (
+            self._lit(photograph * self._each, scene, dict(light)),
+            self._simulator.device,
+        )
         is_planned = self._plan is None and self._capture is None
-        if not is_planned or is_read_on_device(simulator.device, scene):
-            return _Ready(scene, None)
-        plan = simulator.plan(scene, read_facts(scene, simulator.device), seconds)
+        if not is_planned or is_read_on_device(device, scene):
+            return _Read(scene, None)
+        return _Read(scene, read_facts(scene, device))
+
+    def _prepare(self, key, lit: _Read) -> _Ready:
+        """Return a scene in its light, and its plan if the loop needs none of its own."""
+        if lit.facts is None:
+            return _Ready(lit.scene, None)
+        seconds, brightness = key[-1] or (None, 1.0)
+        plan = self._simulator.plan(lit.scene, lit.facts, seconds, brightness=brightness)
         plan.name  # noqa: B018  computed here, next to the device's work
-        return _Ready(scene, plan)
+        return _Ready(lit.scene, plan)
 
     def _read_ahead(self, numbers, pool, workers) -> Iterator[tuple[int, dict, Future]]:
         """Yield number, drawn values and the future scene of each pair, read by a pool ahead of their use."""
         listed: deque[tuple[int, dict, Future]] = deque()
         begun: deque[Future] = deque()  # different scenes of `listed`
         files: dict[tuple, Future] = {}  # the last file
+        lights: dict[tuple, Future] = {}  # and what it shows in each light
         key, most = None, 2
 
-        def prepare(key, file):
-            return self._prepare(key, file.result())
+        def light(key, file):
+            return self._light(key, file.result())
+
+        def prepare(key, lit):
+            return self._prepare(key, lit.result())
 
         for number in numbers:
             values = self._variety.draw(self._seed, number)
@@ -234,8 +274,10 @@ class Pairs:
             if own != key or not begun:
                 key, file = own, own[:1] if self._relit is not None else own[:2]
                 if file not in files:
-                    files = {file: pool.submit(self._read, key)}
-                begun.append(pool.submit(prepare, key, files[file]))
+                    files, lights = {file: pool.submit(self._read, key)}, {}
+                if key[:2] not in lights:
+                    lights[key[:2]] = pool.submit(light, key, files[file])
+                begun.append(pool.submit(prepare, key, lights[key[:2]]))
             listed.append((number, values, begun[-1]))
         yield from listed
 
@@ -257,10 +299,10 @@ class Pairs:
             gain = self._gain_of(values["iso"]) / simulator.camera.sensor.analog_gain
         if self._capture is not None:
             return self._capture_pair(number, values, ready.scene, gain, self._capture)
-        loop, self._loop = self._loop_of(ready, values.get("exposure"), gain), None
+        loop, self._loop = self._loop_of(ready, values, gain), None
         exposure = loop.expose()
         if ready.plan is not None:
-            account = ready.plan.account.at(exposure.exposure_time)
+            account = ready.plan.account.at(exposure.exposure_time * exposure.brightness)
         else:
             account = loop.account
         raw = self._fetch(loop.raw(seed=self._seed, first=number))
@@ -279,14 +321,15 @@ class Pairs:
         nbytes = (12 if codes is None else 18) * int(np.prod(exposure.mean.shape))
         return _Shot(number, values, exposure, account, nbytes, mean, raw, codes)
 
-    def _loop_of(self, ready, seconds, gain) -> Loop:
+    def _loop_of(self, ready, values, gain) -> Loop:
         """Return the loop, of this scene and exposure. Only a scene with a plan follows another one."""
-        loop, simulator = self._loop, self._simulator
+        loop, simulator, seconds = self._loop, self._simulator, values.get("exposure")
         is_same = ready is self._ready and simulator.tolerance is None
         if loop is None or (ready.plan is None and self._plan is None and not is_same):
             loop = simulator.loop(ready.scene, seconds, gain, plan=self._plan)
         else:
             loop.update(scene=ready.scene, exposure_time=seconds, gain=gain)
+        loop.update(brightness=self._brightness(values))
         if ready.plan is not None:
             loop.before.plan = ready.plan, simulator.camera
             loop.before.probing.set_plan(ready.plan)

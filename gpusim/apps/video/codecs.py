@@ -73,7 +73,8 @@ RAW_FRAME = b"FRAME\n"
 RAW = ".y4m"  # suffix of uncompressed videos
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
 CONTAINERS = (".mp4", ".mkv")
-X264 = ("preset", "veryfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")
+# as good as "veryfast" (35.6 against 35.5 dB of noisy frames), in two thirds of its time; files are 7 % larger
+X264 = ("preset", "superfast"), ("threads", "4"), ("mbtree", "0"), ("rc-lookahead", "0")
 X265 = ("preset", "superfast"), ("x265-params", "log-level=error:pools=none:frame-threads=4")
 CODECS = {
     "h264": Codec("libx264", "codes", "yuv420p", "rgb24", CONTAINERS, X264, "crf"),

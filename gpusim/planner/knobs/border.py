@@ -255,21 +255,28 @@ def _outside(question, picture, depth, level):
         spread = depth.reach if depth else question.spread
     if question.period:
         tail = None
-    light, unit, missing = picture.brightness, 1.0, split.missing if split else 0.0
-    if picture.level > BRIGHT:  # all results are over the level
-        light, power = in_range(light)
-        unit = 2.0**-power
-    return Outside(
-        light,
+    missing = split.missing if split else 0.0
+    fields = (
         scene.border,
         scene.margin,
         tail.strength * question.mean_q if tail else 0,
         spread,
-        picture.level * unit,
-        max(question.sensor.read_sigma**2, 1) / level,
-        missing * unit,
+        picture.level,
+        missing,
         min(round(question.deviation), MOST_AROUND),
         *((tail.lines, tail.line_share) if tail else ((), 0.0)),
         question.deviation,
         not scene.view.is_plain,
     )
+    key = picture.brightness, *fields
+    found = question.facts.hold("outside", key, lambda: _look_outside(*key))
+    return found.at(max(question.sensor.read_sigma**2, 1) / level)
+
+
+def _look_outside(light, border, margin, tail, spread, level, missing, *others):
+    """Return the facts of the world around the frame, without read noise."""
+    unit = 1.0
+    if level > BRIGHT:  # all results are over the level
+        light, power = in_range(light)
+        unit = 2.0**-power
+    return Outside(light, border, margin, tail, spread, level * unit, 0.0, missing * unit, *others)

@@ -345,6 +345,25 @@ def ring_errors(
     """
     if not outside.level > 0:
         return 0.0, 0.0, 0.0
+    windows, error, local = question.facts.hold(
+        f"rings of tiles of {tiling.side} that share {tiling.overlap}",
+        (
+            *(outside.held, question.optics, question.pitch, question.cell, question.aperture),
+            *(part.tobytes() for part in (far.sigmas, far.tails, question.edges, question.share)),
+        ),
+        lambda: _rings(outside, question, tiling, far),
+    )
+    sigma = error / np.sqrt(np.maximum(local / outside.level, 0) + outside.noise)[:, None]
+    weight = windows.weight[:, None] * question.share
+    return (
+        sqrt(float((weight * np.mean(error**2, axis=(2, 3))).sum())),
+        quantile(sigma, weight, 0.999),
+        float(sigma.max() * windows.steepest),
+    )
+
+
+def _rings(outside, question, tiling, far):
+    """Return windows, their errors over the frame's level, and their light as a lens shows it."""
     side, valid = tiling.side, tiling.valid
     (windows, light), table = outside.windows(valid), _repeated_response(question, tiling, far)
     part, rim = slice(WINDOW // 2 - side, WINDOW // 2 + side), side - valid // 2
@@ -357,14 +376,7 @@ def ring_errors(
     error = error[..., :rows, :cols] / outside.level * (HOT if outside.is_spiky else 1)
     across = 2 * outside.around + 1
     local = average_boxes(light, across)
-    local = local[:, rim : rim + rows, rim : rim + cols]
-    sigma = error / np.sqrt(np.maximum(local / outside.level, 0) + outside.noise)[:, None]
-    weight = windows.weight[:, None] * question.share
-    return (
-        sqrt(float((weight * np.mean(error**2, axis=(2, 3))).sum())),
-        quantile(sigma, weight, 0.999),
-        float(sigma.max() * windows.steepest),
-    )
+    return windows, error, local[:, rim : rim + rows, rim : rim + cols]
 
 
 def _middle(light, table, valid):

@@ -69,32 +69,36 @@ class Picture:
         )
         return float(np.sqrt(np.mean(light**2))) / self.level
 
-    def operation(self, question: Question, exposure_time: float | None) -> Operation:
-        """Return the camera's operation for it. exposure_time: [s]; None: the camera's own."""
-        sensor, rates = question.sensor, question.facts.channels(question.weights)
-        looked = rates.sum(axis=0)
-        if not sensor.stacked:
-            cfa = sensor.cfa_indices
-            rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
-            channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
-            rates = np.take_along_axis(rates, channel[None], 0)
-        light = float(np.sqrt(np.mean(looked**2)))
-        size = float(np.sqrt(np.mean(rates**2))) * (self.level / light if light > 0 else 1.0)
+    def operation(
+        self, question: Question, exposure_time: float | None, brightness: float = 1.0
+    ) -> Operation:
+        """Return the camera's operation for it.
+
+        exposure_time: [s]; None: the camera's own. brightness: factor on the scene's light.
+        """
+        sensor, facts = question.sensor, question.facts
+        cfa = None if sensor.stacked else sensor.cfa_indices
+        key = question.weights.tobytes(), None if cfa is None else (cfa.shape, cfa.tobytes())
+        rates, looked, light, root = facts.hold(
+            "looked", key, lambda: _look(facts.channels(question.weights), cfa)
+        )
+        size = root * (self.level / light if light > 0 else 1.0)
         seconds = sensor.exposure_time if exposure_time is None else exposure_time
         if seconds is None:
             dark = sensor.noise.operating_dark_current
             try:
-                automatic, brightest = sensor.auto_exposure, float(looked.max())
+                automatic, brightest = sensor.auto_exposure, brightness * float(looked.max())
+                highest, rates = brightness * self.highest, brightness * rates
                 if automatic.method == "highlights" and brightest > 0:
                     # the frame's brightest need not be among these samples
-                    top = rates.max() * self.highest / brightest
+                    top = rates.max() * highest / brightest
                     rates = np.append(np.minimum(rates, top), top)
                 seconds = automatic.choose(rates + dark, sensor.saturation)[0]
-                if automatic.method == "full" and self.highest > 0:
-                    seconds *= brightest / self.highest
+                if automatic.method == "full" and highest > 0:
+                    seconds *= brightest / highest
             except BadData:  # a dark scene: whoever exposes it says so
                 seconds = 1.0
-        return Operation(float(seconds), size, float(sensor.read_sigma**2))
+        return Operation(float(seconds) * brightness, size, float(sensor.read_sigma**2))
 
     def describe(self, notes: Notes):
         """Note the highlights that were split off."""
@@ -156,11 +160,28 @@ class Picture:
             notes.beside["local error next to highlights"] = left
 
 
+def _look(rates, cfa):
+    """Return light of pairs of rows: of their pixels, of all channels together, and the roots of both mean squares.
+
+    rates: channels, (C, rows, cols). cfa: mosaic, or None.
+    """
+    looked = rates.sum(axis=0)
+    if cfa is not None:
+        rows, cols = np.arange(rates.shape[1])[:, None], np.arange(rates.shape[2])
+        channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]  # the period's rows in turn
+        rates = np.take_along_axis(rates, channel[None], 0)
+    light, root = (float(np.sqrt(np.mean(part**2))) for part in (looked, rates))
+    return rates, looked, light, root
+
+
 def whole(question: Question) -> Picture:
     """Return the picture with its highlights."""
     brightness, scene = question.facts.brightness(question.light), question.scene
-    return Picture(
-        brightness, *seen_light(brightness, question.deviation, scene.margin, scene.border)
+    shown = question.deviation, scene.margin, scene.border
+    return question.facts.hold(
+        "picture",
+        (brightness, *shown),
+        lambda: Picture(brightness, *seen_light(brightness, *shown)),
     )
 
 

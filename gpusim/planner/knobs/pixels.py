@@ -95,16 +95,23 @@ def describe(question: Question, taps, notes: Notes):
             f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
             f"its aperture{displacement_suffix(question.sensor.displacement)}"
         )
-    finer = sampling_error(
-        question.facts.moments(weights),
-        weights,
-        question.q,
-        question.share,
-        ratio,
-        question.aperture,
-        taps,
-        question.tables if question.is_blurred else None,
-        question.moved,
+    finer = question.facts.hold(
+        "scene sampling",
+        (
+            *(question.optics, taps, ratio, question.aperture, question.moved),
+            *(part.tobytes() for part in (weights, question.q, question.share)),
+        ),
+        lambda: sampling_error(
+            question.facts.moments(weights),
+            weights,
+            question.q,
+            question.share,
+            ratio,
+            question.aperture,
+            taps,
+            question.tables if question.is_blurred else None,
+            question.moved,
+        ),
     )
     notes.leave_out(
         f"scene structure finer than {'a' if ratio == 1 else f'{1 / ratio:.3g}'} pixel: {ratio:.4g} "
