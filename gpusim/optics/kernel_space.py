@@ -4,7 +4,8 @@ They lie near a space of few dimensions. A `KernelSpace` has a basis of it, and 
 the frame: Chebyshev's polynomials of the place, at nodes of the circle of confusion.
 
 The kernels are differences from one kernel, of the axis and of one distance, with sums of 0. It holds
-the part that reaches far, and blurs the whole frame.
+the part that reaches far, and blurs the whole frame; in large frames by tiles and a coarse grid, see
+`gpusim.optics.coarse`.
 """
 
 import itertools
@@ -14,8 +15,10 @@ import numpy as np
 import scipy
 
 from gpusim.domain.stored import stored
+from gpusim.optics.coarse import LARGE, WIDER, split_error
 from gpusim.optics.field import (
     Differences,
+    choose_nodes,
     error_scale,
     image_error,
     moments_of,
@@ -32,6 +35,7 @@ LEAST_TILE = 8  # [pixel] a side
 WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of the place
 NEAR_LINES = 3  # [pixel] on both sides of an edge between tiles, in which nearly all of a line lies
 ALONG = np.array([-1.0, 0.0, 1.0])  # places along an edge between tiles, of half its length
+COARSE_SHARE = 0.25  # of the limit: error by a coarse grid
 TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
 
 
@@ -53,6 +57,8 @@ class KernelSpace:
         flat: Relative RMS error of flat fields, and the largest, at the places where tiles meet.
         limit: Relative RMS error of a natural scene that `expand` may make.
         reference: Number of the node whose kernel on the axis is subtracted.
+        coarse: Relative RMS error of a natural scene by a coarse grid for the far part of that kernel, which `error`
+            includes; None: it blurs the frame in one piece.
     """
 
     kernels: np.ndarray
@@ -67,6 +73,7 @@ class KernelSpace:
     flat: tuple[float, float]
     limit: float
     reference: int
+    coarse: float | None = None
 
     @property
     def report(self) -> str:
@@ -136,6 +143,14 @@ def make_space(
         np.asarray(levels),
         flat_limit,
     )
+    error, coarse = tuple(errors[:2]), None
+    if shape[0] * shape[1] > LARGE:
+        settings = lens, np.asarray(wavelengths), mix, room, distances[reference], basis.shape[-1]
+        coarse = _error_of_split(*settings)
+        if coarse <= COARSE_SHARE * limit:
+            error = float(np.hypot(error[0], coarse)), float(np.hypot(error[1], coarse))
+        else:
+            coarse = None
     return KernelSpace(
         basis,
         nodes,
@@ -145,11 +160,20 @@ def make_space(
         weights,
         even,
         even_slopes,
-        tuple(errors[:2]),
+        error,
         tuple(errors[2:]),
         limit / 2,
         reference,
+        coarse,
     )
+
+
+@stored
+def _error_of_split(lens, wavelengths, mix, room, distance, size):
+    """Return the relative RMS error of a natural scene by a coarse grid for the far part of kernels on the axis."""
+    nodes, between = choose_nodes(wavelengths, room)
+    kernels = lens.kernels(nodes, (0.0, 0.0), WIDER * size + 1, distance)
+    return split_error(np.tensordot(mix @ between, kernels, 1), size)
 
 
 @stored
