@@ -61,9 +61,9 @@ def split_error(kernels: np.ndarray, size: int) -> float:
     middle = np.where(2 * fold < count, fold, fold - count) % period
     passed = transfer_of_weights(np.fft.fftfreq(period))
     both = passed[:, None] * passed
-    table = (spectra / both**2)[:, middle[:, None], middle]
+    at = np.ix_(middle, middle)
     edge = (2 * fold == count)[:, None] | (2 * fold == count)
-    table[:, edge] = 0
+    table = np.where(edge, 0, spectra[:, *at] / both[at] ** 2)
     spread = np.square(both).reshape(SPACING, count, SPACING, count).sum(axis=(0, 2))
     copies = spread[fold[:, None], fold] - both**2
     wrong = np.square(np.abs(table * both**2 - spectra))

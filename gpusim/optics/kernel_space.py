@@ -57,6 +57,7 @@ class KernelSpace:
         flat: Relative RMS error of flat fields, and the largest, at the places where tiles meet.
         limit: Relative RMS error of a natural scene that `expand` may make.
         reference: Number of the node whose kernel on the axis is subtracted.
+        wrong: Error of the kernels at the worst place and circle of confusion, shape (planes, m, m).
         coarse: Relative RMS error of a natural scene by a coarse grid for the far part of that kernel, which `error`
             includes; None: it blurs the frame in one piece.
     """
@@ -73,6 +74,7 @@ class KernelSpace:
     flat: tuple[float, float]
     limit: float
     reference: int
+    wrong: np.ndarray
     coarse: float | None = None
 
     @property
@@ -129,7 +131,7 @@ def make_space(
     """
     nodes = np.asarray(nodes, np.float64)
     reference = int(np.abs(nodes).argmin())
-    basis, down, across, degrees, values, weights, even, even_slopes, *errors = _make_arrays(
+    basis, down, across, degrees, values, weights, even, even_slopes, wrong, *errors = _make_arrays(
         lens,
         np.asarray(wavelengths),
         mix,
@@ -164,6 +166,7 @@ def make_space(
         tuple(errors[2:]),
         limit / 2,
         reference,
+        wrong,
         coarse,
     )
 
@@ -225,9 +228,11 @@ def _make_arrays(
         coefficients = coefficients.reshape(len(places), -1)
         error, peak = (left, left), 0.0
         if is_uniform:
+            unlike = np.tensordot(coefficients.reshape(len(found), -1), basis, 1) - found
             break
         between = _at(axes, coefficients, probes).reshape(len(wanted), -1)
-        more = image_error(np.tensordot(between, basis, 1), wanted)
+        unlike = np.tensordot(between, basis, 1) - wanted
+        more = image_error(unlike, np.zeros_like(unlike))
         error = float(np.hypot(left, more[0])), float(np.hypot(left, more[1]))
         uneven = float(
             np.hypot(uneven, shading.error_between(np.tensordot(between, basis, 1), wanted))
@@ -253,11 +258,29 @@ def _make_arrays(
         edges, shape, axes, coefficients, moments[:, planes - covers :], circles, reference
     )
     worst = float(np.sqrt(wrong.max()))
-    left = float(np.hypot(error[0], left_out)), float(np.hypot(error[1], worst))
+    end = differences.end_error()
+    left = tuple(
+        float(np.sqrt(a**2 + b**2 + end**2)) for a, b in zip(error, (left_out, worst), strict=True)
+    )
+    in_tiles = np.tensordot(rest[[int(np.argmax(wrong))]], basis, 1)
+    worst_kernel = _find_worst(np.concatenate([unlike, in_tiles]), left[1])
     size = float(np.linalg.norm(levels))
     flat = float(np.sqrt(lines**2 + uneven**2 + (size * bent[0]) ** 2))
     most = line + peak + size * bent[1]
-    return basis, *edges, np.array(degrees), values, weights, even, even_slopes, *left, flat, most
+    arrays = np.array(degrees), values, weights, even, even_slopes, worst_kernel
+    return basis, *edges, *arrays, *left, flat, most
+
+
+def _find_worst(kernels, error):
+    """Return the one of several errors of kernels (n, planes, m, m) that is worst next to edges, if all err as much.
+
+    It is scaled so that a natural scene errs by `error`, or more if it does.
+    """
+    own = np.array([image_error(one[None], np.zeros_like(one[None]))[0] for one in kernels])
+    kernels = kernels * np.maximum(error / np.maximum(own, 1e-300), 1)[:, None, None, None]
+    steps = [kernels.sum(axis=axis).cumsum(axis=-1) for axis in (2, 3)]
+    sizes = np.abs(steps).max(axis=(0, 2, 3)) * (own > 1e-3 * error)  # else it is rounding
+    return kernels[np.argmax(sizes)]
 
 
 def _choices(shape, is_uniform):
