@@ -151,12 +151,13 @@ def make_depth_tables(
 
     on_axis: arguments of `tables_at_distance` for that kernel, but for the device; None: there is no coarse grid.
     """
-    parts, coarse, whole_tables = [], None, ()
+    parts: list[dict] = []
+    coarse: list | None = None
     if on_axis is not None:
-        whole_tables, coarse = tables_at_distance(*on_axis, device), []
+        whole_tables, coarse = tables_at_distance(*(*on_axis, device)), []
     for k, some in enumerate((slice(None, -covers), slice(-covers, None))):
         own = np.ascontiguousarray(space.kernels[:, some], np.float32)
-        if coarse is not None:
+        if on_axis is not None and coarse is not None:
             split = device.numpy(whole_tables[k]), on_axis[1], own.shape[-1]
             near, far_tables = split_tables(*split)
             own = np.concatenate([own, near.reshape(1, *own.shape[1:])])

@@ -88,7 +88,7 @@ def varying_planes(
     )
     varying: FieldBlur | KernelSpace
     if depth is None:
-        varying = question.cache(
+        varying = by_field = question.cache(
             "field plan",
             _rest,
             *made_of,
@@ -97,8 +97,8 @@ def varying_planes(
             _round_down(np.maximum(levels, 1e-12)),
             _round_down(limit),
         )
-        wrong, shaded = varying.error, varying.flat
-        worst_kernels = WorstKernels(table, varying.wrong, mix, varying.worst_ratio)
+        wrong, shaded = by_field.error, by_field.flat
+        worst_kernels = WorstKernels(table, by_field.wrong, mix, by_field.worst_ratio)
     else:
         wanted = limit / (contrast * uneven)
         varying = space = question.cache(
