@@ -37,7 +37,8 @@ class Terms:
         even: Brightness of an even surface, less that at the reference, in the planes of coverage: in the middle of
             each tile, its change to the tile's sides along rows and columns, and with the circle of confusion, float32,
             shape (channels, tiles, 4); None: it is 0.
-        index: Weights of the eigen-kernels in each term, float32, shape (tiles, terms, K).
+        index: Weights of the eigen-kernels in each term, float32, shape (tiles, terms, K); with a coarse grid, last of
+            the near part of the kernel on the axis, (tiles, terms, K + 1).
         limits: Least and largest circle of confusion [pixel].
     """
 
@@ -49,7 +50,11 @@ class Terms:
 
 
 def choose_terms(
-    made: KernelSpace, confusion: np.ndarray, cover: np.ndarray, placed: Placed | None = None
+    made: KernelSpace,
+    confusion: np.ndarray,
+    cover: np.ndarray,
+    placed: Placed | None = None,
+    window: tuple[slice, slice] | None = None,
 ) -> Terms:
     """Return the terms of a layer's kernels in each tile.
 
@@ -58,6 +63,8 @@ def choose_terms(
         confusion: Circle of confusion of each sample [pixel], shape (rows, cols).
         cover: Coverage [1], same shape. Where it is 0, the circle of confusion has no effect.
         placed: Where the frame's pixels take samples from; None: each its own.
+        window: Rows and columns with all light of the layer, which takes the near part of the kernel on the axis; None:
+            only differences from it are wanted.
     """
     middle, half, is_there = _spans(made.edges, confusion, cover, placed)
     index: list[np.ndarray] = []
@@ -68,12 +75,18 @@ def choose_terms(
             if not degrees or found[:, degree].any():
                 degrees.append((*power, degree))
                 index.append(found[:, degree])
+    weights = np.stack(index, axis=1).astype(np.float32)
+    if made.coarse is not None:  # the last kernel
+        near = np.zeros((*weights.shape[:2], 1), np.float32)
+        if window is not None:
+            near[:, 0, 0] = _meets(made, window)
+        weights = np.concatenate([weights, near], axis=2)
     scale = np.divide(1, half, out=np.zeros_like(half), where=half > 0)
     return Terms(
         np.array(degrees, np.int32),
         np.stack([middle, scale], axis=1).astype(np.float32),
         _even(made, middle),
-        np.stack(index, axis=1).astype(np.float32),
+        weights,
         (float(confusion.min()), float(confusion.max())),
     )
 
@@ -110,6 +123,15 @@ def _even_error(made, middle, half, is_there):
         line = terms[..., 0] + terms[..., 3] * np.clip(half * x, -WIDE, WIDE)
         wrong.append((line - true)[:, is_there])
     return float(np.sqrt(np.mean(np.square(wrong)))), float(np.abs(wrong).max())
+
+
+def _meets(made, window):
+    """Return whether light of a window arrives in each tile, as 0 or 1."""
+    reach, found = made.kernels.shape[-1] // 2, []  # light is mirrored at the frame's sides
+    for edge, its in zip(made.edges, window, strict=True):
+        first, last = np.array(_inside(edge, edge[-1] + edge[0])).T
+        found.append((first - reach < its.stop) & (last + reach > its.start))
+    return (found[0][:, None] & found[1]).ravel()
 
 
 def _spans(edges, confusion, cover, placed=None):

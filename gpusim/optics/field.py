@@ -631,6 +631,11 @@ def _cost(edges, reach, terms):
     return float(2.5 * tiles * (terms + 1) * size * np.log2(max(size, 2)))
 
 
+def choose_nodes(wavelengths, error: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return nodes for an error of natural scenes, and the interpolation matrix: see `wavelength_nodes`."""
+    return wavelength_nodes(wavelengths, FEW_NODES if error > COARSE else NODES)
+
+
 class Differences:
     """Kernels of planes minus one kernel on the axis, as a function of places; they sum to 0 at all places.
 
@@ -661,8 +666,7 @@ class Differences:
         self.lens, self.shape, self.corner = lens, shape, corner
         self.distances, self.reference = tuple(distances), reference
         self.middle = (np.array(shape) - 1) / 2 + lens.axis
-        count = FEW_NODES if error > COARSE else NODES
-        self.nodes, between = wavelength_nodes(wavelengths, count)
+        self.nodes, between = choose_nodes(wavelengths, error)
         self.mix = mix @ between
         sizes, self._cut = zip(*(self._enough(error, one) for one in self.distances), strict=True)
         self.size = max(sizes)

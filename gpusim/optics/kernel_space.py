@@ -4,7 +4,8 @@ They lie near a space of few dimensions. A `KernelSpace` has a basis of it, and 
 the frame: Chebyshev's polynomials of the place, at nodes of the circle of confusion.
 
 The kernels are differences from one kernel, of the axis and of one distance, with sums of 0. It holds
-the part that reaches far, and blurs the whole frame.
+the part that reaches far, and blurs the whole frame; in large frames by tiles and a coarse grid, see
+`gpusim.optics.coarse`.
 """
 
 import itertools
@@ -14,8 +15,10 @@ import numpy as np
 import scipy
 
 from gpusim.domain.stored import stored
+from gpusim.optics.coarse import LARGE, WIDER, split_error
 from gpusim.optics.field import (
     Differences,
+    choose_nodes,
     error_scale,
     image_error,
     moments_of,
@@ -32,6 +35,7 @@ LEAST_TILE = 8  # [pixel] a side
 WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of the place
 NEAR_LINES = 3  # [pixel] on both sides of an edge between tiles, in which nearly all of a line lies
 ALONG = np.array([-1.0, 0.0, 1.0])  # places along an edge between tiles, of half its length
+COARSE_SHARE = 0.25  # of the limit: error by a coarse grid
 TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
 
 
@@ -53,6 +57,9 @@ class KernelSpace:
         flat: Relative RMS error of flat fields, and the largest, at the places where tiles meet.
         limit: Relative RMS error of a natural scene that `expand` may make.
         reference: Number of the node whose kernel on the axis is subtracted.
+        wrong: Error of the kernels at the worst place and circle of confusion, shape (planes, m, m).
+        coarse: Relative RMS error of a natural scene by a coarse grid for the far part of that kernel, which `error`
+            includes; None: it blurs the frame in one piece.
     """
 
     kernels: np.ndarray
@@ -67,6 +74,8 @@ class KernelSpace:
     flat: tuple[float, float]
     limit: float
     reference: int
+    wrong: np.ndarray
+    coarse: float | None = None
 
     @property
     def report(self) -> str:
@@ -122,7 +131,7 @@ def make_space(
     """
     nodes = np.asarray(nodes, np.float64)
     reference = int(np.abs(nodes).argmin())
-    basis, down, across, degrees, values, weights, even, even_slopes, *errors = _make_arrays(
+    basis, down, across, degrees, values, weights, even, even_slopes, wrong, *errors = _make_arrays(
         lens,
         np.asarray(wavelengths),
         mix,
@@ -136,6 +145,14 @@ def make_space(
         np.asarray(levels),
         flat_limit,
     )
+    error, coarse = tuple(errors[:2]), None
+    if shape[0] * shape[1] > LARGE:
+        settings = lens, np.asarray(wavelengths), mix, room, distances[reference], basis.shape[-1]
+        coarse = _error_of_split(*settings)
+        if coarse <= COARSE_SHARE * limit:
+            error = float(np.hypot(error[0], coarse)), float(np.hypot(error[1], coarse))
+        else:
+            coarse = None
     return KernelSpace(
         basis,
         nodes,
@@ -145,11 +162,21 @@ def make_space(
         weights,
         even,
         even_slopes,
-        tuple(errors[:2]),
+        error,
         tuple(errors[2:]),
         limit / 2,
         reference,
+        wrong,
+        coarse,
     )
+
+
+@stored
+def _error_of_split(lens, wavelengths, mix, room, distance, size):
+    """Return the relative RMS error of a natural scene by a coarse grid for the far part of kernels on the axis."""
+    nodes, between = choose_nodes(wavelengths, room)
+    kernels = lens.kernels(nodes, (0.0, 0.0), WIDER * size + 1, distance)
+    return split_error(np.tensordot(mix @ between, kernels, 1), size)
 
 
 @stored
@@ -201,9 +228,11 @@ def _make_arrays(
         coefficients = coefficients.reshape(len(places), -1)
         error, peak = (left, left), 0.0
         if is_uniform:
+            unlike = np.tensordot(coefficients.reshape(len(found), -1), basis, 1) - found
             break
         between = _at(axes, coefficients, probes).reshape(len(wanted), -1)
-        more = image_error(np.tensordot(between, basis, 1), wanted)
+        unlike = np.tensordot(between, basis, 1) - wanted
+        more = image_error(unlike, np.zeros_like(unlike))
         error = float(np.hypot(left, more[0])), float(np.hypot(left, more[1]))
         uneven = float(
             np.hypot(uneven, shading.error_between(np.tensordot(between, basis, 1), wanted))
@@ -229,11 +258,29 @@ def _make_arrays(
         edges, shape, axes, coefficients, moments[:, planes - covers :], circles, reference
     )
     worst = float(np.sqrt(wrong.max()))
-    left = float(np.hypot(error[0], left_out)), float(np.hypot(error[1], worst))
+    end = differences.end_error()
+    left = tuple(
+        float(np.sqrt(a**2 + b**2 + end**2)) for a, b in zip(error, (left_out, worst), strict=True)
+    )
+    in_tiles = np.tensordot(rest[[int(np.argmax(wrong))]], basis, 1)
+    worst_kernel = _find_worst(np.concatenate([unlike, in_tiles]), left[1])
     size = float(np.linalg.norm(levels))
     flat = float(np.sqrt(lines**2 + uneven**2 + (size * bent[0]) ** 2))
     most = line + peak + size * bent[1]
-    return basis, *edges, np.array(degrees), values, weights, even, even_slopes, *left, flat, most
+    arrays = np.array(degrees), values, weights, even, even_slopes, worst_kernel
+    return basis, *edges, *arrays, *left, flat, most
+
+
+def _find_worst(kernels, error):
+    """Return the one of several errors of kernels (n, planes, m, m) that is worst next to edges, if all err as much.
+
+    It is scaled so that a natural scene errs by `error`, or more if it does.
+    """
+    own = np.array([image_error(one[None], np.zeros_like(one[None]))[0] for one in kernels])
+    kernels = kernels * np.maximum(error / np.maximum(own, 1e-300), 1)[:, None, None, None]
+    steps = [kernels.sum(axis=axis).cumsum(axis=-1) for axis in (2, 3)]
+    sizes = np.abs(steps).max(axis=(0, 2, 3)) * (own > 1e-3 * error)  # else it is rounding
+    return kernels[np.argmax(sizes)]
 
 
 def _choices(shape, is_uniform):

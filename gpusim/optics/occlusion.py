@@ -5,9 +5,12 @@ several are, both vary over the pupil together, and `optics.occlude` sums over i
 changes, from the variation of coverage and light within the blurs, finds the places that need it.
 """
 
+import os
 from collections.abc import Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property, partial
+from itertools import pairwise, starmap
 
 import numpy as np
 import scipy
@@ -434,7 +437,17 @@ def find_occlusion(
         weights = weights_at(tried[0])
         maps = maps_at(tried[0]) if maps is None else maps
         slopes = slopes_at(tried[0] if at is None else at, tilts[..., some])
-        return covariance(light, alpha, *tried, points, border, weights, bends, maps, slopes)[0]
+        inputs = (*tried[1:], weights, maps, slopes)  # their last axis is of the places
+        count = len(tried[0])
+
+        def value(part):
+            own = [one if one is None else one[..., part] for one in inputs]
+            of_places = tried[0][part], *own[:2]
+            return covariance(light, alpha, *of_places, points, border, own[2], bends, *own[3:])[0]
+
+        ends = np.linspace(0, count, min(os.cpu_count() or 1, count) + 1).astype(int)
+        with ThreadPoolExecutor(len(ends)) as pool:  # NumPy lets other threads run
+            return np.concatenate(list(pool.map(value, starmap(slice, pairwise(ends)))))
 
     if tilts.any():  # where they change little, the sum is cheaper without
         few = pupil_points(pupil, COUNTS[1])

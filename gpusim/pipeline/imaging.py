@@ -14,6 +14,7 @@ from gpusim.domain.mosaics import bin_mosaic
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.fft import pitch_of, room
 from gpusim.kernels.optics.blur import BATCH
+from gpusim.optics.coarse import CoarseGrid
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.farfield import axes, multiplications
 from gpusim.optics.field import FieldBlur
@@ -358,6 +359,10 @@ class _Steps:
                 "margin": self.plan.scene.margin - self.blur.spare,
                 "device": self.device,
             }
+            if self.space.coarse is not None:
+                grid = CoarseGrid.of(self.plan.content.shape, self.blur.period)
+                own = self.plan, self.space.reference, grid.period
+                constants["on_axis"] = self.imaging.tables.made_at_distance(*own)
             chain.steps.append(
                 Step(
                     tables,

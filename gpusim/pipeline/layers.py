@@ -17,6 +17,7 @@ from gpusim.kernels.optics.occlude import occlude
 from gpusim.kernels.optics.reveal import reveal
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.coarse import CoarseGrid
 from gpusim.optics.depth import DepthPlan, flatten
 from gpusim.optics.expansion import Terms, choose_terms
 from gpusim.optics.kernel_space import KernelSpace
@@ -61,7 +62,7 @@ def prepare_layers(places, *, plan: Plan, device) -> tuple[PreparedLayer, ...]:
         covers = np.stack([coverage, coverage * (confusion - confusion.min())]).astype(np.float32)
         lit = find_box(covers[0])
         window = lit if placed is None else placed.find_window(lit)
-        terms = choose_terms(space, confusion, coverage, placed)
+        terms = choose_terms(space, confusion, coverage, placed, window)
         return shown, covers, terms, bool(np.all(coverage == 1)), lit, window
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:  # NumPy lets other threads run
@@ -117,8 +118,11 @@ def composite_layers(
     channels, margin = len(plan.weights), plan.scene.margin - form.spare
     beyond = "edge" if border == "zero" else border  # of coverage
     one, eye = np.ones((channels, 1), np.float32), np.eye(channels, dtype=np.float32)
-    of_light, of_cover, evening = varying
-    of_planes, of_white = tables.at_distance(plan, space.reference)
+    of_light, of_cover, evening, coarse = varying
+    if coarse is None:
+        of_planes, of_white = tables.at_distance(plan, space.reference)
+    else:
+        of_planes, of_white = (_Far(one, plan, margin, device) for one in coarse)
     placing = None
     if places is not None:
         placing = _Placing(places, lights, zoom, gains, plan.content.shape, border, beyond, device)
@@ -145,10 +149,12 @@ def composite_layers(
             "margin": margin,
             "device": device,
         }
-        blurred_light = blur(
-            light, of_planes, form.mix, border, form.period, margin=margin, device=device
-        )
-        alpha = blur(cover, of_white, one, beyond, form.period, margin=margin, device=device)
+        if coarse is None:
+            settings = {"period": form.period, "margin": margin, "device": device}
+            blurred_light = blur(light, of_planes, form.mix, border, **settings)
+            alpha = blur(cover, of_white, one, beyond, **settings)
+        else:
+            blurred_light, alpha = of_planes(light, form.mix, border), of_white(cover, one, beyond)
         blurred_light = field(
             light, mix=form.mix, border=border, base=blurred_light, **of_light, **inputs
         )
@@ -173,6 +179,22 @@ def composite_layers(
         return composed
     groups = _Groups(blurred, alphas, sharp, sources, list(depth.groups), plan, border, device)
     return groups.occlude(groups.diffract(composed, tables), tables)
+
+
+class _Far:
+    """Blurs planes with the far part of a kernel, on a coarse grid. tables: of that grid."""
+
+    def __init__(self, tables, plan, margin, device):
+        form = plan.find(Blur)
+        self._tables, self._margin, self._device = tables, margin, device
+        self._grid = CoarseGrid.of(plan.content.shape, form.period)
+
+    def __call__(self, planes_, mix, border):
+        """Return channels without the light of the near part, (channels, rows, cols)."""
+        grid, device = self._grid, self._device
+        gathered = sample(planes_, *grid.gather(border), device=device)
+        far = blur(gathered, self._tables, mix, "zero", grid.lengths, device=device)
+        return sample(far, *grid.spread(self._margin), device=device)
 
 
 def _cut(gains, margin, device):

@@ -17,6 +17,7 @@ from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
 from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.coarse import split_tables
 from gpusim.optics.expansion import choose_terms
 from gpusim.optics.geometry import evening, view_nodes
 from gpusim.optics.highlights import (
@@ -29,6 +30,7 @@ from gpusim.optics.highlights import (
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lens import open_lens
 from gpusim.pipeline.reading import WHOLE, planes, store
+from gpusim.pipeline.tables import tables_at_distance
 
 PLAIN_MOSAIC = np.zeros((1, 1), np.int32)
 
@@ -136,21 +138,35 @@ def _field_inputs(inputs, device):
     }
 
 
-def make_depth_tables(*, space: KernelSpace, covers: int, margin: int, device) -> tuple:
+def make_depth_tables(
+    *, space: KernelSpace, covers: int, margin: int, on_axis: tuple | None = None, device
+) -> tuple:
     """Return what a blur by depth takes from frame to frame.
 
     Returns:
-        Kernels and transfer tables for `optics.field`, of the planes and of the coverage in each channel; and the gains
-        by which coverage of an even surface at the reference's distance remains 1, (C, rows, cols), or None.
+        Kernels and transfer tables for `optics.field`, of the planes and of the coverage in each channel; the gains by
+        which coverage of an even surface at the reference's distance remains 1, (C, rows, cols), or None; and transfer
+        tables of the coarse grid, of planes and of coverage, or None. With these the last kernel is the near part of
+        the kernel on the axis.
+
+    on_axis: arguments of `tables_at_distance` for that kernel, but for the device; None: there is no coarse grid.
     """
-    parts = []
-    for some in (slice(None, -covers), slice(-covers, None)):
+    parts: list[dict] = []
+    coarse: list | None = None
+    if on_axis is not None:
+        whole_tables, coarse = tables_at_distance(*(*on_axis, device)), []
+    for k, some in enumerate((slice(None, -covers), slice(-covers, None))):
         own = np.ascontiguousarray(space.kernels[:, some], np.float32)
+        if on_axis is not None and coarse is not None:
+            split = device.numpy(whole_tables[k]), on_axis[1], own.shape[-1]
+            near, far_tables = split_tables(*split)
+            own = np.concatenate([own, near.reshape(1, *own.shape[1:])])
+            coarse.append(device.array(far_tables))
         found = {"kernels": own, "tables": transfer(device, own, space.edges)}
         parts.append(found)
     parts[1]["sources"] = np.zeros(covers, np.int32)
     if not space.is_varying:
-        return *parts, None
+        return *parts, None, coarse
     rows, cols = (int(edge[-1]) - space.kernels.shape[-1] // 2 for edge in space.edges)
     circles = np.full((rows, cols), space.nodes[space.reference])
     whole = np.ones((rows, cols), np.float32)
@@ -169,7 +185,7 @@ def make_depth_tables(*, space: KernelSpace, covers: int, margin: int, device) -
         **parts[1],
     )
     gains = (1 / (1 + np.asarray(device.numpy(flat), np.float64))).astype(np.float32)
-    return *parts, device.array(gains)
+    return *parts, device.array(gains), coarse
 
 
 def add_field(rates, planes_, tables, *, mix, border, margin, device) -> Any:

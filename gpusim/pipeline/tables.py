@@ -164,20 +164,25 @@ class LensTables:
 
         Tables of planes are stored for the next frame; those for all wavelengths are too large.
         """
-        blur, depth, fusion = plan.find(Blur), plan.find(DepthPlan), plan.find(Fusion)
-        assert blur is not None and depth is not None
-        made_of = (
+        blur = plan.find(Blur)
+        assert blur is not None
+        made_of = *self.made_at_distance(plan, kernel, blur.period), self.device
+        if plan.find(Fusion) is None:
+            return tables_at_distance(*made_of)
+        return self._cache(f"transfer at {kernel}", tables_at_distance, *made_of)
+
+    def made_at_distance(self, plan: Plan, kernel: int, period: tuple[int, int]) -> tuple:
+        """Return the arguments of `tables_at_distance` for one of the plan's kernels, but for the device."""
+        depth, fusion = plan.find(DepthPlan), plan.find(Fusion)
+        assert depth is not None
+        return (
             self._made_of(plan),
-            blur.period,
+            period,
             fusion and fusion.transfers,
             depth.distances[kernel],
             plan.weights / np.maximum(plan.weights.sum(axis=1, keepdims=True), 1e-300),
             np.broadcast_to(plan.flat, plan.q.shape),
-            self.device,
         )
-        if fusion is None:
-            return tables_at_distance(*made_of)
-        return self._cache(f"transfer at {kernel}", tables_at_distance, *made_of)
 
     def in_focus(self, plan: Plan) -> tuple:
         """Return tables of white in the channels in focus, (C, 1, ...): with samples, and of diffraction only.

@@ -46,7 +46,7 @@ def varying_planes(
 
     Returns:
         Planes from spectra, transfers on the axis, mix, the difference from the axis, error (see
-        `field_bound`) and description.
+        `field_bound`), its worst kernels and description.
     """
     limit = question.limit or FIELD_TOLERANCE
     count, table, each, error = _planes(question, response, prior, limit)
@@ -88,7 +88,7 @@ def varying_planes(
     )
     varying: FieldBlur | KernelSpace
     if depth is None:
-        varying = question.cache(
+        varying = by_field = question.cache(
             "field plan",
             _rest,
             *made_of,
@@ -97,7 +97,8 @@ def varying_planes(
             _round_down(np.maximum(levels, 1e-12)),
             _round_down(limit),
         )
-        wrong, shaded = varying.error, varying.flat
+        wrong, shaded = by_field.error, by_field.flat
+        worst_kernels = WorstKernels(table, by_field.wrong, mix, by_field.worst_ratio)
     else:
         wanted = limit / (contrast * uneven)
         varying = space = question.cache(
@@ -113,10 +114,12 @@ def varying_planes(
             len(question.weights),
         )
         own_error, bends = expansion_error(space, depth)
-        wrong = (
-            uneven * float(np.hypot(space.error[0], own_error[0])),
-            uneven * float(np.hypot(space.error[1], own_error[1])),
+        usual, largest = (
+            max(float(np.hypot(*both)), 1e-300) for both in zip(space.error, own_error, strict=True)
         )
+        own = largest / max(space.error[1], 1e-300) * space.wrong[: len(table)]
+        worst_kernels = WorstKernels(table, own, mix, max(largest / usual, 1.0))
+        wrong = uneven * usual, uneven * largest
         bent, most = (float(np.linalg.norm(levels)) * one for one in bends)
         shaded = float(np.hypot(space.flat[0], bent)), space.flat[1] + most
     error = float(np.hypot(error, wrong[0] * np.sqrt(count) * contrast))
@@ -128,7 +131,7 @@ def varying_planes(
         f"{len(question.content.wavelengths)} wavelengths"
     )
     worst = max(wrong[1] / max(wrong[0], 1e-300), 1.0), shaded[1]
-    return table, transfers[None], mix, varying, (error, *worst), words
+    return table, transfers[None], mix, varying, (error, *worst), worst_kernels, words
 
 
 def field_bound(

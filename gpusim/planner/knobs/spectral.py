@@ -12,7 +12,6 @@ from gpusim.domain.account import SAFETY, SAMPLING, Bound
 from gpusim.domain.interpolation import is_regular
 from gpusim.domain.spectrum import LINE, Spectrum
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import (
     SAMPLED_PERIOD,
     Response,
@@ -24,7 +23,7 @@ from gpusim.optics.fusion import (
 from gpusim.optics.sampling import pixel_response
 from gpusim.optics.tables import field_tables
 from gpusim.optics.windows import Windows
-from gpusim.planner.choices import Fusion, Planes, WorstKernels
+from gpusim.planner.choices import Fusion, Planes
 from gpusim.planner.facts import Operation
 from gpusim.planner.knobs.field import field_bound, varying_planes
 from gpusim.planner.knobs.highlights import Picture
@@ -121,16 +120,11 @@ def ways(question: Question, probes: Probes | None, depth: DepthPlan | None = No
     even = question.weights / flat
     if not question.lens.is_uniform or depth is not None:
         response = response_of(question, even, flat)
-        inputs, transfers, mix, varying, wrong, words = varying_planes(
+        inputs, transfers, mix, varying, wrong, worst, words = varying_planes(
             question, response, prior_of(question), flat, depth
         )
         table = inputs @ question.content.entry_spectra.T
-        choices: tuple = Planes(table), Fusion(transfers), varying
-        worst = None
-        if isinstance(varying, FieldBlur):
-            worst = WorstKernels(inputs, varying.wrong, mix, varying.worst_ratio)
-            choices = *choices, worst
-        made = Fused(flat, mix, choices)
+        made = Fused(flat, mix, (Planes(table), Fusion(transfers), varying, worst))
         rms, most, shaded = wrong
         bound = field_bound(probes, rms, most, shaded, worst)
         return [Way(len(inputs), bound, words, lambda _: made)]
