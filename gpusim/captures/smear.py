@@ -14,6 +14,7 @@ adds behind a rolling shutter.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -40,8 +41,13 @@ FINEST = 256  # pieces that count as the path itself
 STRAIGHT = 1e-5  # error of a transfer function for which pieces count as the path
 CHECKED = 5  # rows and columns of samples whose paths are compared
 NODES = 17, 5  # rows and columns of nodes of `optics.distort`: rows also stand for times
-SPARE = 128  # [sample] around a path for the tails of its interpolation
-FADE = 32  # [sample] over which the light beyond fades, so that the picture may be repeated
+SPARE = 128  # [sample] around a path for the tails of its interpolation, if these are cut
+FADE = 32  # [sample] over which the light beyond, and tails that are not cut, fade
+TAPS = 4  # [sample] around a place for its interpolation
+PLACES = 17  # along an axis, at which the light of cut tails is computed
+# points of Gauss along a line, and the longest [sample] for which they give the means of waves of half a cycle a
+# sample to 1e-8
+GAUSS = {1: 6e-4, 2: 0.026, 3: 0.166, 4: 0.457, 5: 0.881, 7: 2.0}
 CHUNK = 8  # views that are added up at once
 
 
@@ -132,6 +138,24 @@ class Path:
         """True if the middles of all paths are displaced alike."""
         moves = self.middles[..., :2].reshape(-1, 2)
         return bool(np.ptp(moves, axis=0).max() < 1e-6)
+
+    @property
+    def common(self) -> np.ndarray:
+        """Displacement of the middle of the middle sample's path [sample]."""
+        return self.middles[NODES[0] // 2, NODES[1] // 2, :2]
+
+    def worlds(self, is_whole: bool) -> "tuple[_World, _World]":
+        """Return the world of both axes, see `convolve`."""
+        points, own = self.middle_shape[0], self.middles - np.array([*np.rint(self.common), 0])
+        shape, border, found = self.scene.content.shape, _border(self.scene), []
+        for axis, edges in enumerate(_edges(shape, NODES)):
+            n, spare = shape[axis], 0
+            if not self.is_common:
+                places = own[..., axis] + (edges[:, None] if axis == 0 else edges)
+                spare = TAPS + max(0, ceil(np.abs(places).max() - n / 2))
+            path = ceil(np.abs(points[:, axis]).max()) + 1
+            found.append(_World.of(n, border, spare, path, is_whole))
+        return found[0], found[1]
 
     @property
     def length(self) -> float:
@@ -230,36 +254,14 @@ class Path:
         return replace(bound, rms=bound.rms * factor)
 
 
-def transfer(fy, fx, points: np.ndarray, light: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Return the transfer function of a mean along a path of straight pieces.
-
-    Each piece is a box along a line: the wave exp(2 pi i f x) becomes itself times sinc(f step) and the phase of the
-    middle of the piece's light.
-
-    Args:
-        fy: Frequencies along rows [cycle/sample], shape (rows, 1).
-        fx: Frequencies along columns, shape (cols,).
-        points: Ends of the pieces, places looked at relative to the sample, shape (n + 1, 2).
-        light: Share of the light of each piece, shape (n,).
-        middle: Where the middle of that light is between the ends of the piece, 0 .. 1.
-
-    Returns:
-        Complex, shape (rows, cols).
-    """
-    total = np.zeros(np.broadcast_shapes(fy.shape, fx.shape), np.complex128)
-    for start, end, share, at in zip(points[:-1], points[1:], light, middle, strict=True):
-        (y, x), (down, right) = start + at * (end - start), end - start
-        phase = np.exp(2j * np.pi * fy * y) * np.exp(2j * np.pi * fx * x)
-        total += share * phase * np.sinc(fy * down + fx * right)
-    return total
-
-
-def convolve(device: Device, path: Path) -> Scene:
+def convolve(device: Device, path: Path, is_whole: bool = True) -> Scene:
     """Return the mean light by one transfer function. See the module.
 
     Args:
         device: Device that computes it.
         path: The path.
+        is_whole: Whether ripples count however far they come from. Else they are cut if that costs less, see
+            `Path.cut_error`.
 
     Returns:
         A scene in host memory, with a plain view.
@@ -267,45 +269,108 @@ def convolve(device: Device, path: Path) -> Scene:
     scene, border = path.scene, _border(path.scene)
     content, light, response = _mix(device, scene.content)
     points, *shares = path.middle_shape
-    nodes = path.middles
-    common = nodes[NODES[0] // 2, NODES[1] // 2, :2]
+    nodes, common = path.middles, path.common
     own = nodes - np.array([*np.rint(common), 0])
     if path.is_common:  # the fraction of the displacement is part of the transfer function
         points = points + (common - np.rint(common))
         own[..., :2] = 0
-    # surroundings that paths and displacements see
-    seen = np.abs(points).max(axis=0) + SPARE
-    for axis, edges in enumerate(_edges(content.shape, NODES)):
-        places = own[..., axis] + (edges[:, None] if axis == 0 else edges)
-        seen[axis] += max(0.0, np.abs(places).max() - content.shape[axis] / 2)
-    pad = np.ceil(seen).astype(int) + FADE
-    shape = tuple(fft_length(n + 2 * more) for n, more in zip(content.shape, pad, strict=True))
+    worlds = path.worlds(is_whole)
+    shape = tuple(one.length for one in worlds)
+    first = [one.first for one in worlds]
     whole = np.zeros((4, 4, 3))
-    whole[..., :2], whole[..., 2] = np.rint(common) - pad, 1
+    whole[..., :2], whole[..., 2] = np.rint(common) - first, 1
     wide = distort(light, device.array(whole[None]), shape, border, device=device)
-    wide = falloff(wide, np.outer(*map(_fade, shape))[None], device=device)
-    rows, cols = shape
-    fy, fx = np.fft.fftfreq(rows)[:, None], np.arange(cols // 2 + 1) / cols
-    table = transfer(fy, fx, points, *shares)
-    for i in (0, rows // 2) if rows % 2 == 0 else (0,):  # frequencies that are their own opposites
-        for j in (0, cols // 2) if cols % 2 == 0 else (0,):
-            table[i, j] = table[i, j].real
-    table = np.ascontiguousarray(table).view(np.float64).astype(np.float32)[None, None]
-    table, one, found = device.array(table), np.ones((1, 1), np.float32), []
+    if any(one.is_weighted for one in worlds):
+        wide = falloff(wide, np.outer(*(one.weights for one in worlds))[None], device=device)
+    (y, x), weights = _instants(points, *shares)
+    kernel = (worlds[0].waves(y) * weights) @ worlds[1].waves(x).T
+    table = scipy.fft.rfft2(kernel, workers=-1).view(np.float64).astype(np.float32)
+    table, one, found = device.array(table[None, None]), np.ones((1, 1), np.float32), []
     for plane in range(light.shape[0]):
         single = device.reshape(device.part(wide, plane), (1, *shape))
-        smeared = blur(single, table, one, "edge", (rows, cols), device=device)
+        smeared = blur(single, table, one, "edge", shape, device=device)
         found.append(device.reshape(smeared, shape))
-    own[..., :2] += pad
+    own[..., :2] += first
     smeared = _look(device, device.stack(found), own, response, border, content.shape)
     return _scene(device, scene, content, smeared)
+
+
+@dataclass(frozen=True, eq=False)
+class _World:
+    """The light along an axis that a transform repeats.
+
+    Attributes:
+        length: Of the transform [sample].
+        first: Place of the scene's first sample in it.
+        weights: Of the light at each place, float32 (length,).
+        period: After which the world of the kernel repeats itself [sample]; inf: never.
+        is_cut: Whether ripples from beyond are left out.
+    """
+
+    length: int
+    first: int
+    weights: np.ndarray
+    period: float
+    is_cut: bool = False
+
+    @classmethod
+    def of(cls, n: int, border: str, spare: int, path: int, is_whole: bool) -> "_World":
+        """Return the world of an axis of n samples.
+
+        Args:
+            n: Samples of the scene.
+            border: Its border.
+            spare: Samples around the scene that are wanted as well.
+            path: Samples that a path goes from its middle.
+            is_whole: Whether ripples count however far they come from. Else only if that costs no more.
+        """
+        length = fft_length(n + 2 * (spare + path + SPARE + FADE))
+        cut = cls(length, (length - n) // 2, _fade(length), length, True)
+        if border == "reflect":
+            # any period of the mirrored world, between nothing, in the middle of a longer transform
+            before = n // 2
+            length = fft_length(3 * n + 2 * spare + 3)
+            first = (length - n) // 2
+            weights = np.zeros(length, np.float32)
+            weights[first - before : first - before + 2 * n] = 1
+            whole = cls(length, first, weights, 2 * n)
+            for times in range(2 * n, length, 2 * n):
+                if times >= n + 2 * spare and fft_length(times) == times:
+                    ones = np.ones(times, np.float32)
+                    whole = cls(times, (times - n) // 2, ones, times)
+                    break
+        else:  # dark or even beyond, so without ripples: they come from the scene's samples only
+            length = fft_length(n + 2 * spare + max(n + 2 * FADE, 2 * path + 4 * FADE))
+            whole = cls(length, (length - n) // 2, _fade(length), np.inf)
+        return whole if is_whole or whole.length <= cut.length else cut
+
+    @property
+    def is_weighted(self) -> bool:
+        """True if not all of the light counts."""
+        return bool((self.weights != 1).any())
+
+    def waves(self, places: np.ndarray) -> np.ndarray:
+        """Return a sample's band-limited light at places from it, as a transform counts them: (length, n)."""
+        at = np.fft.fftfreq(self.length, 1 / self.length)[:, None]
+        away = at + places
+        if self.period == np.inf:
+            left = np.clip((self.length / 2 - np.abs(at)) / FADE, 0, 1)
+            return np.sinc(away) * _smooth(left)
+        away -= self.period * np.rint(away / self.period)
+        turn = away / self.period
+        found = np.sinc(away) / np.sinc(turn)
+        return found * np.cos(np.pi * turn) if self.period % 2 == 0 else found
 
 
 def _fade(size):
     """Return weights of `size` samples: 1, and 0 at both ends. Their first three derivatives are continuous."""
     at = np.arange(size)
-    part = np.clip(np.minimum(at, size - 1 - at) / FADE, 0, 1)
-    return (part**4 * (35 - 84 * part + 70 * part**2 - 20 * part**3)).astype(np.float32)
+    return _smooth(np.clip(np.minimum(at, size - 1 - at) / FADE, 0, 1)).astype(np.float32)
+
+
+def _smooth(part):
+    """Return a step from 0 to 1 whose first three derivatives are continuous."""
+    return part**4 * (35 - 84 * part + 70 * part**2 - 20 * part**3)
 
 
 def accumulate(device: Device, path: Path, count: int) -> Scene:
@@ -351,9 +416,44 @@ def accumulate(device: Device, path: Path, count: int) -> Scene:
     return _scene(device, scene, content, total)
 
 
-def _probe(*shape):
-    """Return a path's transfer function at the frequencies of probes."""
-    return transfer(np.fft.fftfreq(SIDE)[:, None], np.arange(SIDE // 2 + 1) / SIDE, *shape)
+def _probe(points: np.ndarray, light: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Return the transfer function of a mean along a path of straight pieces at the frequencies of probes.
+
+    A wave exp(2 pi i f x) becomes its mean along the path times itself.
+
+    Args:
+        points: Ends of the pieces, places looked at relative to the sample, shape (n + 1, 2).
+        light: Share of the light of each piece, shape (n,).
+        middle: Where the middle of that light is between the ends of the piece, 0 .. 1.
+
+    Returns:
+        Complex, shape (SIDE, SIDE // 2 + 1).
+    """
+    places, weights = _instants(points, light, middle)
+    waves = np.exp(2j * np.pi / SIDE * places)[:, None]
+    down, right = np.multiply.accumulate(
+        np.concatenate([np.ones_like(waves), np.repeat(waves, SIDE // 2, axis=1)], axis=1), axis=1
+    )
+    down = np.concatenate([down, down[SIDE // 2 - 1 : 0 : -1].conj()])
+    down[SIDE // 2] = down[SIDE // 2].conj()  # half a cycle a sample, as the lower of both
+    return (down * weights) @ right.T
+
+
+def _instants(points, light, middle):
+    """Return places on a path, (2, n), and weights: sums that are the means of waves along it.
+
+    The light of a piece is even around its middle.
+    """
+    step = np.diff(points, axis=0)
+    longest = float(np.abs(step).sum(axis=1).max())
+    parts = max(1, ceil(longest / max(GAUSS.values())))
+    count = next(n for n, most in GAUSS.items() if longest / parts <= most)
+    nodes, mass = (own / (2 * parts) for own in np.polynomial.legendre.leggauss(count))
+    along = ((np.arange(parts) + 0.5) / parts - 0.5)[:, None] + nodes
+    at = middle[:, None] + along.ravel()
+    places = points[:-1, :, None] + step[..., None] * at[:, None]
+    weights = light[:, None] * np.tile(mass, parts)
+    return places.swapaxes(0, 1).reshape(2, -1), weights.ravel()
 
 
 def sum_errors(bounds: list[Bound]) -> Bound:
