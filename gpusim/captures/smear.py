@@ -31,7 +31,9 @@ from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.highlights import TRANSFORM_ERROR
 from gpusim.optics.lengths import fft_length
+from gpusim.optics.outside import border_indices
 from gpusim.optics.shutter import shutter_weights
 from gpusim.pipeline.reading import planes, store
 from gpusim.planner.probes import SIDE, Probes
@@ -76,20 +78,17 @@ class Path:
         row = (np.asarray(y) + self.scene.samples[0] / 2) / self.scene.samples_per_pixel - 0.5
         return self.start + self.row_time * row
 
-    def places(self, y, x, part: float) -> np.ndarray:
-        """Return places of samples in the scene [sample], shape (2, rows, cols), relative to the middle.
+    def places(self, y, x, part) -> np.ndarray:
+        """Return places of samples in the scene [sample], shape (2, ..., rows, cols), relative to the middle.
 
         Args:
             y: Rows of the samples in the frame, relative to the middle [sample].
             x: Columns.
-            part: Part of the exposure that has passed, 0 .. 1.
+            part: Part of the exposure that has passed, 0 .. 1: a number, or shape (..., 1).
         """
-        ratio, found = self.scene.samples_per_pixel, np.empty((2, len(y), len(x)))
-        for row, time in enumerate(self.opens(y) + part * self.seconds):
-            found[:, row] = np.broadcast_arrays(
-                *self.motion.at(float(time)).place(y[row], x, ratio)
-            )
-        return found
+        times = (self.opens(y) + part * self.seconds)[..., None]
+        ratio = self.scene.samples_per_pixel
+        return np.array(self.motion.places(times, np.asarray(y)[:, None], np.asarray(x), ratio))
 
     def light(self, y: float, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the share of the light of a row's exposure between consecutive parts of it, and where its middle is.
@@ -120,8 +119,8 @@ class Path:
     @cached_property
     def points(self) -> np.ndarray:
         """Paths of the checked samples, shape (FINEST + 1, 2, rows, cols)."""
-        parts = np.linspace(0, 1, FINEST + 1)
-        return np.array([self.places(*self.sample_grid, part) for part in parts])
+        parts = np.linspace(0, 1, FINEST + 1)[:, None]
+        return self.places(*self.sample_grid, parts).swapaxes(0, 1)
 
     @cached_property
     def middles(self) -> np.ndarray:
@@ -129,7 +128,7 @@ class Path:
         parts = np.linspace(0, 1, FINEST + 1)
         y, _ = _edges(self.scene.content.shape, NODES)
         light, middle = np.array([self.light(row, parts) for row in y]).swapaxes(0, 1)
-        along = np.array([_nodes(self, part) for part in parts])  # (points, rows, cols, 3)
+        along = _nodes(self, parts[:, None])  # (points, rows, cols, 3)
         found = np.einsum("yk,kyxi->yxi", light * (1 - middle), along[:-1])
         return found + np.einsum("yk,kyxi->yxi", light * middle, along[1:])
 
@@ -196,11 +195,11 @@ class Path:
 
     def shape_error(self, probes: Probes) -> Bound:
         """Return the error of one shape for all samples."""
-        worst = np.zeros(self.spectrum.shape)
-        for row in range(CHECKED):
-            for col in range(CHECKED):
-                own = _probe(*self.shape(row, col, FINEST))
-                np.maximum(worst, np.abs(own - self.spectrum), out=worst)
+        worst, places = np.zeros(self.spectrum.shape), np.ndindex(CHECKED, CHECKED)
+        shapes = [self.shape(row, col, FINEST) for row, col in places]
+        # each shape once
+        for shape in {np.round(np.concatenate([*map(np.ravel, own)]), 9).tobytes(): own for own in shapes}.values():
+            np.maximum(worst, np.abs(_probe(*shape) - self.spectrum), out=worst)
         return self._of_mean(probes, probes.bound(probes.exact * worst.astype(np.float32)))
 
     def shear_error(self, probes: Probes, displaced: float = 0.0) -> Bound:
@@ -236,6 +235,35 @@ class Path:
     def smear(self, spectra: np.ndarray) -> np.ndarray:
         """Return transforms of windows after the smear along the middle sample's path."""
         return (spectra * self.spectrum).astype(np.complex64)
+
+    def cut_error(self, probes: Probes, brightness: np.ndarray, is_whole: bool) -> Bound:
+        """Return the error of `convolve`: of ripples from afar that are cut, and of float32 transforms.
+
+        At u samples along an axis a sample's band-limited light is (-1)^u / (pi u) times a part of it that depends on
+        the path and the place along the other axis. So the sum of what is cut changes slowly, up to (-1)^u.
+
+        Args:
+            probes: Probes of the scene at rest.
+            brightness: Light of the samples in all channels [e-/s], shape (rows, cols).
+            is_whole: As of `convolve`.
+        """
+        if not probes.level > 0:
+            return Bound()
+        size = np.sqrt(np.mean(np.square(brightness, dtype=np.float64)))
+        bounds = [probes.even_error(float(TRANSFORM_ERROR * size / probes.level))]
+        places, weights = _instants(*self.middle_shape)
+        for axis, world in enumerate(self.worlds(is_whole)):
+            if not world.is_cut:
+                continue
+            cut = world.cut_ripples(brightness.shape[axis], _border(self.scene))
+            ripples = cut @ np.moveaxis(brightness, axis, 0)  # (PLACES, samples along the other axis)
+            part = (weights * np.sin(np.pi * places[axis])) @ _waves(places[1 - axis]).T
+            lens = np.abs(probes.tables).max(axis=0)
+            seen = np.maximum(lens[:, -1], lens[-np.arange(SIDE), -1]) if axis else lens[SIDE // 2]
+            kernel = np.fft.irfft(np.abs(part) * seen[: SIDE // 2 + 1], SIDE)
+            kernel = np.roll(kernel, SIDE // 2)
+            bounds.append(probes.everywhere(scipy.ndimage.convolve1d(ripples, kernel)))
+        return self._of_mean(probes, sum_errors(bounds))
 
     def view_error(self, probes: Probes, is_convolved: bool) -> Bound:
         """Return the error of interpolated places. Fourier transforms displace without error."""
@@ -361,6 +389,28 @@ class _World:
         found = np.sinc(away) / np.sinc(turn)
         return found * np.cos(np.pi * turn) if self.period % 2 == 0 else found
 
+    def cut_ripples(self, n: int, border: str) -> np.ndarray:
+        """Return what is cut of unit samples' ripples, up to (-1)^u, at PLACES among n samples: (PLACES, n)."""
+
+        def ripple(away, period):
+            if period == np.inf:
+                return 1 / (np.pi * away)
+            turn = np.pi * away / period
+            return 1 / (period * (np.sin(turn) if period % 2 else np.tan(turn)))
+
+        at, own = np.floor(np.linspace(0, n - 1, PLACES))[:, None] + 0.5, np.arange(n)
+        sign = 1 - 2 * (own % 2)
+        if border != "reflect":
+            found = sign * (ripple(at - own, np.inf) - ripple(at - own, self.length))
+            if border == "edge":  # half of a step's samples, which go on
+                found[:, [0, -1]] /= 2
+            return found
+        found = sign * (ripple(at - own, 2 * n) - ripple(at + 1 + own, 2 * n))
+        wide = np.arange(self.length) - self.first
+        used = self.weights * (1 - 2 * (wide % 2)) * ripple(at - wide, self.length)
+        np.subtract.at(found.T, border_indices(wide, n, border), used.T)
+        return found
+
 
 def _fade(size):
     """Return weights of `size` samples: 1, and 0 at both ends. Their first three derivatives are continuous."""
@@ -430,13 +480,16 @@ def _probe(points: np.ndarray, light: np.ndarray, middle: np.ndarray) -> np.ndar
         Complex, shape (SIDE, SIDE // 2 + 1).
     """
     places, weights = _instants(points, light, middle)
-    waves = np.exp(2j * np.pi / SIDE * places)[:, None]
-    down, right = np.multiply.accumulate(
-        np.concatenate([np.ones_like(waves), np.repeat(waves, SIDE // 2, axis=1)], axis=1), axis=1
-    )
-    down = np.concatenate([down, down[SIDE // 2 - 1 : 0 : -1].conj()])
-    down[SIDE // 2] = down[SIDE // 2].conj()  # half a cycle a sample, as the lower of both
+    down, right = map(_waves, places)
+    down = np.concatenate([down[:-1], down[:0:-1].conj()])  # half a cycle a sample is the lower of both
     return (down * weights) @ right.T
+
+
+def _waves(places):
+    """Return waves of 0 .. SIDE // 2 cycles to SIDE samples at places, complex (SIDE // 2 + 1, n)."""
+    steps = np.repeat(np.exp(2j * np.pi / SIDE * places)[None], SIDE // 2 + 1, axis=0)
+    steps[0] = 1
+    return np.multiply.accumulate(steps)
 
 
 def _instants(points, light, middle):
@@ -515,7 +568,7 @@ def _edges(shape, nodes):
 
 
 def _nodes(path, part):
-    """Return nodes for `optics.distort` at a part of each sample's exposure."""
+    """Return nodes for `optics.distort` at parts of each sample's exposure, see `Path.places`."""
     y, x = _edges(path.scene.content.shape, NODES)
     places = path.places(y, x, part)
     return np.stack([places[0] - y[:, None], places[1] - x, np.ones_like(places[0])], axis=-1)

@@ -315,6 +315,14 @@ class Probes:
         # the quantile and the maximum of a normal distribution, over a million pixels
         return Bound(rms, float(3.3 * size / sigma.low), float(5 * size / sigma.least))
 
+    def everywhere(self, error) -> Bound:
+        """Return the bound of an error [e- s-1] of all channels together at places all over the frame."""
+        error, sigma, light = np.abs(error), self._sigma, self.means @ self.weights.T
+        share = (light.max(axis=1) / np.maximum(light.sum(axis=1), 1e-300)).max()  # of a channel
+        most = float(np.quantile(error, 0.999)) / sigma.low, float(error.max()) / sigma.least
+        most = tuple(float(self.seconds * share * one) for one in most)
+        return Bound(float(np.sqrt(np.mean(error**2))) / self.level, *most)
+
     def brightness_error(self, share: float) -> Bound:
         """The error of a picture that is brighter by this share everywhere."""
         sigma = share * self.signal * self.seconds / self._sigma.pixels
