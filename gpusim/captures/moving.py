@@ -335,9 +335,8 @@ def _smear(simulator, probes, path, is_enough, pictures):
     # no smear errs less if the rows err too much
     if does(bound) or (pictures is None and does(shape) and not does(sheared)):
         resampled = path.view_error(probes, True)
-        brightness = path.scene.content.brightness(probes.weights.sum(axis=0))
         for is_whole in (False, True):
-            cut = sum_errors([bound, path.cut_error(probes, brightness, is_whole)])
+            cut = sum_errors([bound, path.cut_error(probes, is_whole)])
             if simulator.tolerance is not None and is_enough(cut):
                 break
         smeared = convolve(device, path, is_whole)

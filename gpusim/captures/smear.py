@@ -34,6 +34,7 @@ from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.highlights import TRANSFORM_ERROR
 from gpusim.optics.lengths import fft_length
 from gpusim.optics.outside import border_indices
+from gpusim.optics.ripples import places_among, ripple, world_ripples
 from gpusim.optics.shutter import shutter_weights
 from gpusim.pipeline.reading import planes, store
 from gpusim.planner.probes import SIDE, Probes
@@ -46,7 +47,6 @@ NODES = 17, 5  # rows and columns of nodes of `optics.distort`: rows also stand 
 SPARE = 128  # [sample] around a path for the tails of its interpolation, if these are cut
 FADE = 32  # [sample] over which the light beyond, and tails that are not cut, fade
 TAPS = 4  # [sample] around a place for its interpolation
-PLACES = 17  # along an axis, at which the light of cut tails is computed
 # points of Gauss along a line, and the longest [sample] for which they give the means of waves of half a cycle a
 # sample to 1e-8
 GAUSS = {1: 6e-4, 2: 0.026, 3: 0.166, 4: 0.457, 5: 0.881, 7: 2.0}
@@ -198,7 +198,9 @@ class Path:
         worst, places = np.zeros(self.spectrum.shape), np.ndindex(CHECKED, CHECKED)
         shapes = [self.shape(row, col, FINEST) for row, col in places]
         # each shape once
-        for shape in {np.round(np.concatenate([*map(np.ravel, own)]), 9).tobytes(): own for own in shapes}.values():
+        for shape in {
+            np.round(np.concatenate([*map(np.ravel, own)]), 9).tobytes(): own for own in shapes
+        }.values():
             np.maximum(worst, np.abs(_probe(*shape) - self.spectrum), out=worst)
         return self._of_mean(probes, probes.bound(probes.exact * worst.astype(np.float32)))
 
@@ -236,33 +238,24 @@ class Path:
         """Return transforms of windows after the smear along the middle sample's path."""
         return (spectra * self.spectrum).astype(np.complex64)
 
-    def cut_error(self, probes: Probes, brightness: np.ndarray, is_whole: bool) -> Bound:
+    def cut_error(self, probes: Probes, is_whole: bool) -> Bound:
         """Return the error of `convolve`: of ripples from afar that are cut, and of float32 transforms.
-
-        At u samples along an axis a sample's band-limited light is (-1)^u / (pi u) times a part of it that depends on
-        the path and the place along the other axis. So the sum of what is cut changes slowly, up to (-1)^u.
 
         Args:
             probes: Probes of the scene at rest.
-            brightness: Light of the samples in all channels [e-/s], shape (rows, cols).
             is_whole: As of `convolve`.
         """
-        if not probes.level > 0:
+        light = probes.brightness
+        if light is None or not probes.level > 0:
             return Bound()
-        size = np.sqrt(np.mean(np.square(brightness, dtype=np.float64)))
+        size = np.sqrt(np.mean(np.square(light, dtype=np.float64)))
         bounds = [probes.even_error(float(TRANSFORM_ERROR * size / probes.level))]
         places, weights = _instants(*self.middle_shape)
         for axis, world in enumerate(self.worlds(is_whole)):
-            if not world.is_cut:
-                continue
-            cut = world.cut_ripples(brightness.shape[axis], _border(self.scene))
-            ripples = cut @ np.moveaxis(brightness, axis, 0)  # (PLACES, samples along the other axis)
-            part = (weights * np.sin(np.pi * places[axis])) @ _waves(places[1 - axis]).T
-            lens = np.abs(probes.tables).max(axis=0)
-            seen = np.maximum(lens[:, -1], lens[-np.arange(SIDE), -1]) if axis else lens[SIDE // 2]
-            kernel = np.fft.irfft(np.abs(part) * seen[: SIDE // 2 + 1], SIDE)
-            kernel = np.roll(kernel, SIDE // 2)
-            bounds.append(probes.everywhere(scipy.ndimage.convolve1d(ripples, kernel)))
+            if world.is_cut:
+                part = (weights * np.sin(np.pi * places[axis])) @ _waves(places[1 - axis]).T
+                cut = world.cut_ripples(light.shape[axis], _border(self.scene))
+                bounds.append(probes.everywhere([probes.see_ripples(axis, cut, np.abs(part))]))
         return self._of_mean(probes, sum_errors(bounds))
 
     def view_error(self, probes: Probes, is_convolved: bool) -> Bound:
@@ -270,7 +263,8 @@ class Path:
         if is_convolved and self.is_common:
             return Bound()
         view = self.motion.at(self.start + self.seconds / 2)
-        seen = replace(probes, spectra=self.smear(probes.spectra))
+        left = np.abs(self.spectrum)
+        seen = replace(probes, spectra=self.smear(probes.spectra), path=left)
         return seen.resampling_error(view, self.scene.samples_per_pixel)
 
     def _of_mean(self, probes, bound):
@@ -390,26 +384,15 @@ class _World:
         return found * np.cos(np.pi * turn) if self.period % 2 == 0 else found
 
     def cut_ripples(self, n: int, border: str) -> np.ndarray:
-        """Return what is cut of unit samples' ripples, up to (-1)^u, at PLACES among n samples: (PLACES, n)."""
-
-        def ripple(away, period):
-            if period == np.inf:
-                return 1 / (np.pi * away)
-            turn = np.pi * away / period
-            return 1 / (period * (np.sin(turn) if period % 2 else np.tan(turn)))
-
-        at, own = np.floor(np.linspace(0, n - 1, PLACES))[:, None] + 0.5, np.arange(n)
-        sign = 1 - 2 * (own % 2)
-        if border != "reflect":
-            found = sign * (ripple(at - own, np.inf) - ripple(at - own, self.length))
-            if border == "edge":  # half of a step's samples, which go on
-                found[:, [0, -1]] /= 2
+        """Return the ripples of n unit samples that are cut, see `world_ripples`."""
+        at, wide = places_among(n), np.arange(self.length) - self.first
+        if border == "reflect":
+            used = self.weights * (1 - 2 * (wide % 2)) * ripple(at - wide, self.length)
+            found = world_ripples(at, n, border)
+            np.subtract.at(found.T, border_indices(wide, n, border), used.T)
             return found
-        found = sign * (ripple(at - own, 2 * n) - ripple(at + 1 + own, 2 * n))
-        wide = np.arange(self.length) - self.first
-        used = self.weights * (1 - 2 * (wide % 2)) * ripple(at - wide, self.length)
-        np.subtract.at(found.T, border_indices(wide, n, border), used.T)
-        return found
+        used = world_ripples(at, n, border, period=self.length)
+        return world_ripples(at, n, border) - used
 
 
 def _fade(size):
@@ -481,7 +464,9 @@ def _probe(points: np.ndarray, light: np.ndarray, middle: np.ndarray) -> np.ndar
     """
     places, weights = _instants(points, light, middle)
     down, right = map(_waves, places)
-    down = np.concatenate([down[:-1], down[:0:-1].conj()])  # half a cycle a sample is the lower of both
+    down = np.concatenate(
+        [down[:-1], down[:0:-1].conj()]
+    )  # half a cycle a sample is the lower of both
     return (down * weights) @ right.T
 
 

@@ -135,7 +135,7 @@ class Motion:
         return self if view.is_plain else replace(self, base=view)
 
     def _shake_at(self, times):
-        """Return the displacement by hand shake: rows, columns [pixel] and rotation [rad], each of the shape of times."""
+        """Return the displacement by hand shake, of the shape of times: rows, columns [pixel], rotation [rad]."""
         if not self.shake:
             return 0.0, 0.0, 0.0
         frequency, amplitude, phase = self._waves

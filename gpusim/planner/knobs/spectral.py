@@ -312,6 +312,7 @@ def probes_of(question: Question, picture: Picture, operation: Operation) -> Pro
         apart=picture.apart,
         inner=inner,
         channels=channels,
+        brightness=picture.brightness,
     )
 
 
