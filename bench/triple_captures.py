@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-import scipy.fft
-import triple_brute as brute
 import triple_outside as outside
 from scipy.interpolate import CubicSpline
 from triple_lens import Lens
@@ -30,7 +28,7 @@ PERIOD = 1 / 30  # [s] of a video
 STEP = 0.3  # [sample] between instants
 LEAST, MOST = 5, 41  # instants
 FINE = 4000  # parts of the time that a row is open
-MARGIN = 200  # [sample] that a shifted scene fades over
+MARGIN = 4000  # [sample] that a shifted scene goes on for
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,23 +189,26 @@ def _integrated(rates, times, question, asked, row_time):
 
 def shifted(planes, shift, border) -> np.ndarray:
     """Return planes whose sample (y, x) is the band-limited scene at (y, x) + shift."""
-    more = [ceil(abs(one)) + MARGIN + 40 for one in shift]
-    wide = np.pad(planes, ((0, 0), *((n, n) for n in more)), mode=brute.MODES[border])
-    for axis in (1, 2):
-        n = wide.shape[axis]
-        left = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / MARGIN, 0, 1)
-        fade = (left**4 * (35 - 84 * left + 70 * left**2 - 20 * left**3)).reshape(
-            -1, *[1] * (2 - axis)
-        )
-        mean = wide.mean(axis=axis, keepdims=True)
-        wide = mean + (wide - mean) * fade
-    spectrum = scipy.fft.fft2(wide)
-    for axis, one in zip((1, 2), shift, strict=True):
-        n = wide.shape[axis]
-        f = np.fft.fftfreq(n)
-        phase = np.exp(2j * np.pi * f * one)
-        if n % 2 == 0:  # the shortest wave is half up and half down
-            phase[n // 2] = np.cos(np.pi * one)
-        spectrum = spectrum * phase.reshape(-1, *[1] * (2 - axis))
-    found = scipy.fft.ifft2(spectrum).real
-    return found[:, more[0] : -more[0], more[1] : -more[1]]
+    down, right = (_moved(n, one, border) for n, one in zip(planes.shape[1:], shift, strict=True))
+    return down @ planes @ right.T
+
+
+def _moved(n, shift, border):
+    """Return the light of n samples at places displaced from them, (n, n), in a world without end."""
+    at, own = np.arange(n)[:, None] + shift, np.arange(n)
+    if border == "reflect":  # sums of sin(pi u) / (pi u) over all mirror images
+
+        def repeated(away):
+            turn = np.pi * (away / (2 * n) - np.rint(away / (2 * n)))
+            near = np.abs(turn) < 1e-9
+            found = np.sin(2 * n * turn) / (2 * n * np.tan(np.where(near, 1, turn)))
+            return np.where(near, 1.0, found)
+
+        return repeated(at - own) + repeated(at + 1 + own)
+    found = np.sinc(at - own)
+    if border != "zero":  # the outermost samples go on, up to a smooth end far away
+        far = np.arange(1, MARGIN + 1)
+        fade = 0.5 + 0.5 * np.cos(np.pi * np.clip(2 * far / MARGIN - 1, 0, 1))
+        found[:, 0] += np.sinc(at + far) @ fade
+        found[:, -1] += np.sinc(at - (n - 1) - far) @ fade
+    return found
