@@ -353,6 +353,7 @@ class Probes:
         lens = np.abs(self.tables).max(axis=0)
         seen = np.maximum(lens[:, -1], lens[-np.arange(SIDE), -1]) if axis else lens[SIDE // 2]
         kernel = np.roll(np.fft.irfft(part * seen[: SIDE // 2 + 1], SIDE), SIDE // 2)
+        assert self.brightness is not None  # whoever asks knows
         light = np.moveaxis(self.brightness, axis, 0)
         ripples = np.asarray(weights, light.dtype) @ light
         middle = np.s_[SIDE // 2 : SIDE // 2 + ripples.shape[1]]
