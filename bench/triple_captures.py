@@ -148,14 +148,23 @@ def _moving(question, asked):
     rows, sensor = scene.shape[0], camera.sensor
     whole = asked.seconds + sensor.row_time * (rows - 1)
     path = np.hypot(*question.motion.pan) * whole * scene.samples_per_pixel
+    is_common = not (sensor.row_time or question.flicker)  # all rows see the same mean light
     count = int(np.clip(ceil(path / STEP) + 1, LEAST, MOST)) if path else 1
-    times = asked.start + whole * np.linspace(0, 1, count)
-    lens, rates = Lens(scene, camera), []
+    times, parts = asked.start + whole * np.linspace(0, 1, count), None
+    if (
+        is_common and path
+    ):  # points of Gauss: waves of half a cycle a sample need a half of the path, and some
+        parts, weights = np.polynomial.legendre.leggauss(ceil(path) + 12)
+        times = asked.start + whole * (parts + 1) / 2
+    lens, rates, worlds = Lens(scene, camera), [], []
     planes = outside.planes_of(scene)
     for time in times:
         view = question.motion.at(float(time))
         shift = [scene.samples_per_pixel * one for one in view.shift]
-        world = shifted(planes, shift, scene.border) if any(shift) else planes
+        worlds.append(shifted(planes, shift, scene.border) if any(shift) else planes)
+    if parts is not None:
+        worlds = [np.tensordot(weights / 2, worlds, 1)]
+    for world in worlds:
         rates.append(outside.rates_of_world(lens, scene, camera, world))
     count_of_answers = {len(one) for one in rates}
     if count_of_answers != {1} and count > 1:
@@ -163,7 +172,7 @@ def _moving(question, asked):
     means = []
     for number in range(len(rates[0])):
         own = np.stack([one[number] for one in rates])
-        means.append(_integrated(own, times, question, asked, sensor.row_time))
+        means.append(_integrated(own, times[: len(own)], question, asked, sensor.row_time))
     rim = outside.SAFE if camera.optics.distortion is not None or count > 1 else 0
     mosaic = [outside.exposed(one, scene, camera, 1.0) for one in means]
     return outside.Answers(mosaic, min(rim, (min(scene.shape) - 1) // 3), 1e-4)
