@@ -37,10 +37,11 @@ __kernel void along_columns(
     GUARD(j >= values || half_y > 2 * rows || m >= maps)
     float w[4];
     const int i = nodes(half_y, rows, ny, w);
-    float total = 0.0f;
+    __global const float *restrict at = grids + ((size_t)m * ny + i) * values + j;
+    float total = 0.0f;  // of differences: nodes that are equal have no rounding
 #pragma unroll
-    for (int a = 0; a < 4; ++a) total += w[a] * grids[((size_t)m * ny + i + a) * values + j];
-    lines[((size_t)m * (2 * rows + 1) + half_y) * values + j] = total;
+    for (int a = 1; a < 4; ++a) total += w[a] * (at[a * values] - at[0]);
+    lines[((size_t)m * (2 * rows + 1) + half_y) * values + j] = at[0] + total;
 }
 
 // Values at half-pixel column half_x of a line: row difference, column difference, flux factor.
@@ -48,14 +49,15 @@ float3 place(__global const float *restrict line, const int half_x, const int nx
 {
     float w[4];
     const int j = nodes(half_x, cols, nx, w);
+    __global const float *restrict at = line + j * 3;
     float v = 0.0f, u = 0.0f, flux = 0.0f;
 #pragma unroll
-    for (int b = 0; b < 4; ++b) {
-        v += w[b] * line[(j + b) * 3];
-        u += w[b] * line[(j + b) * 3 + 1];
-        flux += w[b] * line[(j + b) * 3 + 2];
+    for (int b = 1; b < 4; ++b) {
+        v += w[b] * (at[b * 3] - at[0]);
+        u += w[b] * (at[b * 3 + 1] - at[1]);
+        flux += w[b] * (at[b * 3 + 2] - at[2]);
     }
-    return (float3)(v, u, flux);
+    return (float3)(at[0] + v, at[1] + u, at[2] + flux);
 }
 
 __kernel void cubic(
