@@ -9,8 +9,6 @@ from dataclasses import dataclass
 from math import ceil
 
 import numpy as np
-import scipy.fft
-import triple_brute as brute
 import triple_outside as outside
 from scipy.interpolate import CubicSpline
 from triple_lens import Lens
@@ -30,7 +28,7 @@ PERIOD = 1 / 30  # [s] of a video
 STEP = 0.3  # [sample] between instants
 LEAST, MOST = 5, 41  # instants
 FINE = 4000  # parts of the time that a row is open
-MARGIN = 200  # [sample] that a shifted scene fades over
+MARGIN = 4000  # [sample] that a shifted scene goes on for
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,14 +148,23 @@ def _moving(question, asked):
     rows, sensor = scene.shape[0], camera.sensor
     whole = asked.seconds + sensor.row_time * (rows - 1)
     path = np.hypot(*question.motion.pan) * whole * scene.samples_per_pixel
+    is_common = not (sensor.row_time or question.flicker)  # all rows see the same mean light
     count = int(np.clip(ceil(path / STEP) + 1, LEAST, MOST)) if path else 1
-    times = asked.start + whole * np.linspace(0, 1, count)
-    lens, rates = Lens(scene, camera), []
+    times, parts = asked.start + whole * np.linspace(0, 1, count), None
+    if (
+        is_common and path
+    ):  # points of Gauss: waves of half a cycle a sample need a half of the path, and some
+        parts, weights = np.polynomial.legendre.leggauss(ceil(path) + 12)
+        times = asked.start + whole * (parts + 1) / 2
+    lens, rates, worlds = Lens(scene, camera), [], []
     planes = outside.planes_of(scene)
     for time in times:
         view = question.motion.at(float(time))
         shift = [scene.samples_per_pixel * one for one in view.shift]
-        world = shifted(planes, shift, scene.border) if any(shift) else planes
+        worlds.append(shifted(planes, shift, scene.border) if any(shift) else planes)
+    if parts is not None:
+        worlds = [np.tensordot(weights / 2, worlds, 1)]
+    for world in worlds:
         rates.append(outside.rates_of_world(lens, scene, camera, world))
     count_of_answers = {len(one) for one in rates}
     if count_of_answers != {1} and count > 1:
@@ -165,7 +172,7 @@ def _moving(question, asked):
     means = []
     for number in range(len(rates[0])):
         own = np.stack([one[number] for one in rates])
-        means.append(_integrated(own, times, question, asked, sensor.row_time))
+        means.append(_integrated(own, times[: len(own)], question, asked, sensor.row_time))
     rim = outside.SAFE if camera.optics.distortion is not None or count > 1 else 0
     mosaic = [outside.exposed(one, scene, camera, 1.0) for one in means]
     return outside.Answers(mosaic, min(rim, (min(scene.shape) - 1) // 3), 1e-4)
@@ -191,23 +198,26 @@ def _integrated(rates, times, question, asked, row_time):
 
 def shifted(planes, shift, border) -> np.ndarray:
     """Return planes whose sample (y, x) is the band-limited scene at (y, x) + shift."""
-    more = [ceil(abs(one)) + MARGIN + 40 for one in shift]
-    wide = np.pad(planes, ((0, 0), *((n, n) for n in more)), mode=brute.MODES[border])
-    for axis in (1, 2):
-        n = wide.shape[axis]
-        left = np.clip(np.minimum(np.arange(n), np.arange(n)[::-1]) / MARGIN, 0, 1)
-        fade = (left**4 * (35 - 84 * left + 70 * left**2 - 20 * left**3)).reshape(
-            -1, *[1] * (2 - axis)
-        )
-        mean = wide.mean(axis=axis, keepdims=True)
-        wide = mean + (wide - mean) * fade
-    spectrum = scipy.fft.fft2(wide)
-    for axis, one in zip((1, 2), shift, strict=True):
-        n = wide.shape[axis]
-        f = np.fft.fftfreq(n)
-        phase = np.exp(2j * np.pi * f * one)
-        if n % 2 == 0:  # the shortest wave is half up and half down
-            phase[n // 2] = np.cos(np.pi * one)
-        spectrum = spectrum * phase.reshape(-1, *[1] * (2 - axis))
-    found = scipy.fft.ifft2(spectrum).real
-    return found[:, more[0] : -more[0], more[1] : -more[1]]
+    down, right = (_moved(n, one, border) for n, one in zip(planes.shape[1:], shift, strict=True))
+    return down @ planes @ right.T
+
+
+def _moved(n, shift, border):
+    """Return the light of n samples at places displaced from them, (n, n), in a world without end."""
+    at, own = np.arange(n)[:, None] + shift, np.arange(n)
+    if border == "reflect":  # sums of sin(pi u) / (pi u) over all mirror images
+
+        def repeated(away):
+            turn = np.pi * (away / (2 * n) - np.rint(away / (2 * n)))
+            near = np.abs(turn) < 1e-9
+            found = np.sin(2 * n * turn) / (2 * n * np.tan(np.where(near, 1, turn)))
+            return np.where(near, 1.0, found)
+
+        return repeated(at - own) + repeated(at + 1 + own)
+    found = np.sinc(at - own)
+    if border != "zero":  # the outermost samples go on, up to a smooth end far away
+        far = np.arange(1, MARGIN + 1)
+        fade = 0.5 + 0.5 * np.cos(np.pi * np.clip(2 * far / MARGIN - 1, 0, 1))
+        found[:, 0] += np.sinc(at + far) @ fade
+        found[:, -1] += np.sinc(at - (n - 1) - far) @ fade
+    return found

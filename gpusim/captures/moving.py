@@ -214,7 +214,7 @@ def expose_motion(
         raise OutOfRange("instants", instants, "2 or more")
     probes = probes_for(simulator, scene, motion.at(start), seconds)
 
-    def is_enough(bound, step):
+    def is_enough(bound, step=0.0):
         if simulator.tolerance is None:
             return step <= STEP
         return SAFETY * bound.ratio(simulator.tolerance) <= ENOUGH
@@ -335,7 +335,12 @@ def _smear(simulator, probes, path, is_enough, pictures):
     # no smear errs less if the rows err too much
     if does(bound) or (pictures is None and does(shape) and not does(sheared)):
         resampled = path.view_error(probes, True)
-        return convolve(device, path), bound, resampled, f"{length}: one transfer function"
+        for is_whole in (False, True):
+            cut = sum_errors([bound, path.cut_error(probes, is_whole)])
+            if simulator.tolerance is not None and is_enough(cut):
+                break
+        smeared = convolve(device, path, is_whole)
+        return smeared, cut, resampled, f"{length}: one transfer function"
     if pictures is not None and not does(sheared):
         return None
     for count in VIEWS:

@@ -7,9 +7,11 @@ from numpy.typing import ArrayLike
 
 from gpusim.captures.capture import Capture, Light, Shot
 from gpusim.captures.merge import merge_reads
+from gpusim.domain.account import Bound
 from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene
 from gpusim.pipeline.exposure import expose_mean
+from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
 
@@ -82,7 +84,8 @@ class Reads(Capture):
             steps.append(part.mean)
             if exposures:
                 mean = device.numpy(exposures[-1].mean) + device.numpy(part.mean)
-                total = expose_mean(light.simulator, part.plan, device.array(mean), time, part.gain)
+                plan = _with_dark_light(light, part.plan, steps, mean, time)
+                total = expose_mean(light.simulator, plan, device.array(mean), time, part.gain)
                 part = replace(total, ms=part.ms, wall_ms=part.wall_ms)
             exposures.append(part)
             before = time
@@ -113,6 +116,22 @@ class Reads(Capture):
 
     def _merge(self, simulator, frames):
         return merge_reads(simulator, frames)
+
+
+def _with_dark_light(light, plan, steps, mean, time):
+    """Return the plan of a read with the error of light below 0, which is 0 between any two reads.
+
+    Band-limited light of stars that move has ripples below 0. An exposure up to the read has their mean, too.
+    """
+    device = light.simulator.device
+    if not any(((device.numpy(step) <= 0) & (mean > 0)).any() for step in steps):
+        return plan
+    whole = np.asarray(device.numpy(light.expose(seconds=time).mean), np.float64)
+    read = light.simulator.camera.sensor.read_sigma
+    found = Error.between(np.asarray(mean, np.float64), whole, read)
+    error = Bound(found.rms, found.p999_sigma, found.max_sigma)
+    bounds = plan.account.bounds | {"light below 0 between reads": error}
+    return plan.exchange(account=replace(plan.account, bounds=bounds))
 
 
 def read_nondestructively(

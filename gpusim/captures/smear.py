@@ -14,6 +14,7 @@ adds behind a rolling shutter.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,10 @@ from gpusim.kernels.optics.distort import distort
 from gpusim.kernels.optics.falloff import falloff
 from gpusim.kernels.sensor.shutter import shutter
 from gpusim.kernels.spectral.integrate import integrate
+from gpusim.optics.highlights import TRANSFORM_ERROR
 from gpusim.optics.lengths import fft_length
+from gpusim.optics.outside import border_indices
+from gpusim.optics.ripples import places_among, ripple, world_ripples
 from gpusim.optics.shutter import shutter_weights
 from gpusim.pipeline.reading import planes, store
 from gpusim.planner.probes import SIDE, Probes
@@ -40,8 +44,12 @@ FINEST = 256  # pieces that count as the path itself
 STRAIGHT = 1e-5  # error of a transfer function for which pieces count as the path
 CHECKED = 5  # rows and columns of samples whose paths are compared
 NODES = 17, 5  # rows and columns of nodes of `optics.distort`: rows also stand for times
-SPARE = 128  # [sample] around a path for the tails of its interpolation
-FADE = 32  # [sample] over which the light beyond fades, so that the picture may be repeated
+SPARE = 128  # [sample] around a path for the tails of its interpolation, if these are cut
+FADE = 32  # [sample] over which the light beyond, and tails that are not cut, fade
+TAPS = 4  # [sample] around a place for its interpolation
+# points of Gauss along a line, and the longest [sample] for which they give the means of waves of half a cycle a
+# sample to 1e-8
+GAUSS = {1: 6e-4, 2: 0.026, 3: 0.166, 4: 0.457, 5: 0.881, 7: 2.0}
 CHUNK = 8  # views that are added up at once
 
 
@@ -70,20 +78,17 @@ class Path:
         row = (np.asarray(y) + self.scene.samples[0] / 2) / self.scene.samples_per_pixel - 0.5
         return self.start + self.row_time * row
 
-    def places(self, y, x, part: float) -> np.ndarray:
-        """Return places of samples in the scene [sample], shape (2, rows, cols), relative to the middle.
+    def places(self, y, x, part) -> np.ndarray:
+        """Return places of samples in the scene [sample], shape (2, ..., rows, cols), relative to the middle.
 
         Args:
             y: Rows of the samples in the frame, relative to the middle [sample].
             x: Columns.
-            part: Part of the exposure that has passed, 0 .. 1.
+            part: Part of the exposure that has passed, 0 .. 1: a number, or shape (..., 1).
         """
-        ratio, found = self.scene.samples_per_pixel, np.empty((2, len(y), len(x)))
-        for row, time in enumerate(self.opens(y) + part * self.seconds):
-            found[:, row] = np.broadcast_arrays(
-                *self.motion.at(float(time)).place(y[row], x, ratio)
-            )
-        return found
+        times = (self.opens(y) + part * self.seconds)[..., None]
+        ratio = self.scene.samples_per_pixel
+        return np.array(self.motion.places(times, np.asarray(y)[:, None], np.asarray(x), ratio))
 
     def light(self, y: float, parts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the share of the light of a row's exposure between consecutive parts of it, and where its middle is.
@@ -114,8 +119,8 @@ class Path:
     @cached_property
     def points(self) -> np.ndarray:
         """Paths of the checked samples, shape (FINEST + 1, 2, rows, cols)."""
-        parts = np.linspace(0, 1, FINEST + 1)
-        return np.array([self.places(*self.sample_grid, part) for part in parts])
+        parts = np.linspace(0, 1, FINEST + 1)[:, None]
+        return self.places(*self.sample_grid, parts).swapaxes(0, 1)
 
     @cached_property
     def middles(self) -> np.ndarray:
@@ -123,7 +128,7 @@ class Path:
         parts = np.linspace(0, 1, FINEST + 1)
         y, _ = _edges(self.scene.content.shape, NODES)
         light, middle = np.array([self.light(row, parts) for row in y]).swapaxes(0, 1)
-        along = np.array([_nodes(self, part) for part in parts])  # (points, rows, cols, 3)
+        along = _nodes(self, parts[:, None])  # (points, rows, cols, 3)
         found = np.einsum("yk,kyxi->yxi", light * (1 - middle), along[:-1])
         return found + np.einsum("yk,kyxi->yxi", light * middle, along[1:])
 
@@ -132,6 +137,24 @@ class Path:
         """True if the middles of all paths are displaced alike."""
         moves = self.middles[..., :2].reshape(-1, 2)
         return bool(np.ptp(moves, axis=0).max() < 1e-6)
+
+    @property
+    def common(self) -> np.ndarray:
+        """Displacement of the middle of the middle sample's path [sample]."""
+        return self.middles[NODES[0] // 2, NODES[1] // 2, :2]
+
+    def worlds(self, is_whole: bool) -> "tuple[_World, _World]":
+        """Return the world of both axes, see `convolve`."""
+        points, own = self.middle_shape[0], self.middles - np.array([*np.rint(self.common), 0])
+        shape, border, found = self.scene.content.shape, _border(self.scene), []
+        for axis, edges in enumerate(_edges(shape, NODES)):
+            n, spare = shape[axis], 0
+            if not self.is_common:
+                places = own[..., axis] + (edges[:, None] if axis == 0 else edges)
+                spare = TAPS + max(0, ceil(np.abs(places).max() - n / 2))
+            path = ceil(np.abs(points[:, axis]).max()) + 1
+            found.append(_World.of(n, border, spare, path, is_whole))
+        return found[0], found[1]
 
     @property
     def length(self) -> float:
@@ -172,11 +195,13 @@ class Path:
 
     def shape_error(self, probes: Probes) -> Bound:
         """Return the error of one shape for all samples."""
-        worst = np.zeros(self.spectrum.shape)
-        for row in range(CHECKED):
-            for col in range(CHECKED):
-                own = _probe(*self.shape(row, col, FINEST))
-                np.maximum(worst, np.abs(own - self.spectrum), out=worst)
+        worst, places = np.zeros(self.spectrum.shape), np.ndindex(CHECKED, CHECKED)
+        shapes = [self.shape(row, col, FINEST) for row, col in places]
+        # each shape once
+        for shape in {
+            np.round(np.concatenate([*map(np.ravel, own)]), 9).tobytes(): own for own in shapes
+        }.values():
+            np.maximum(worst, np.abs(_probe(*shape) - self.spectrum), out=worst)
         return self._of_mean(probes, probes.bound(probes.exact * worst.astype(np.float32)))
 
     def shear_error(self, probes: Probes, displaced: float = 0.0) -> Bound:
@@ -213,12 +238,33 @@ class Path:
         """Return transforms of windows after the smear along the middle sample's path."""
         return (spectra * self.spectrum).astype(np.complex64)
 
+    def cut_error(self, probes: Probes, is_whole: bool) -> Bound:
+        """Return the error of `convolve`: of ripples from afar that are cut, and of float32 transforms.
+
+        Args:
+            probes: Probes of the scene at rest.
+            is_whole: As of `convolve`.
+        """
+        light = probes.brightness
+        if light is None or not probes.level > 0:
+            return Bound()
+        size = np.sqrt(np.mean(np.square(light, dtype=np.float64)))
+        bounds = [probes.even_error(float(TRANSFORM_ERROR * size / probes.level))]
+        places, weights = _instants(*self.middle_shape)
+        for axis, world in enumerate(self.worlds(is_whole)):
+            if world.is_cut:
+                part = (weights * np.sin(np.pi * places[axis])) @ _waves(places[1 - axis]).T
+                cut = world.cut_ripples(light.shape[axis], _border(self.scene))
+                bounds.append(probes.everywhere([probes.see_ripples(axis, cut, np.abs(part))]))
+        return self._of_mean(probes, sum_errors(bounds))
+
     def view_error(self, probes: Probes, is_convolved: bool) -> Bound:
         """Return the error of interpolated places. Fourier transforms displace without error."""
         if is_convolved and self.is_common:
             return Bound()
         view = self.motion.at(self.start + self.seconds / 2)
-        seen = replace(probes, spectra=self.smear(probes.spectra))
+        left = np.abs(self.spectrum)
+        seen = replace(probes, spectra=self.smear(probes.spectra), path=left)
         return seen.resampling_error(view, self.scene.samples_per_pixel)
 
     def _of_mean(self, probes, bound):
@@ -230,36 +276,14 @@ class Path:
         return replace(bound, rms=bound.rms * factor)
 
 
-def transfer(fy, fx, points: np.ndarray, light: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """Return the transfer function of a mean along a path of straight pieces.
-
-    Each piece is a box along a line: the wave exp(2 pi i f x) becomes itself times sinc(f step) and the phase of the
-    middle of the piece's light.
-
-    Args:
-        fy: Frequencies along rows [cycle/sample], shape (rows, 1).
-        fx: Frequencies along columns, shape (cols,).
-        points: Ends of the pieces, places looked at relative to the sample, shape (n + 1, 2).
-        light: Share of the light of each piece, shape (n,).
-        middle: Where the middle of that light is between the ends of the piece, 0 .. 1.
-
-    Returns:
-        Complex, shape (rows, cols).
-    """
-    total = np.zeros(np.broadcast_shapes(fy.shape, fx.shape), np.complex128)
-    for start, end, share, at in zip(points[:-1], points[1:], light, middle, strict=True):
-        (y, x), (down, right) = start + at * (end - start), end - start
-        phase = np.exp(2j * np.pi * fy * y) * np.exp(2j * np.pi * fx * x)
-        total += share * phase * np.sinc(fy * down + fx * right)
-    return total
-
-
-def convolve(device: Device, path: Path) -> Scene:
+def convolve(device: Device, path: Path, is_whole: bool = True) -> Scene:
     """Return the mean light by one transfer function. See the module.
 
     Args:
         device: Device that computes it.
         path: The path.
+        is_whole: Whether ripples count however far they come from. Else they are cut if that costs less, see
+            `Path.cut_error`.
 
     Returns:
         A scene in host memory, with a plain view.
@@ -267,45 +291,119 @@ def convolve(device: Device, path: Path) -> Scene:
     scene, border = path.scene, _border(path.scene)
     content, light, response = _mix(device, scene.content)
     points, *shares = path.middle_shape
-    nodes = path.middles
-    common = nodes[NODES[0] // 2, NODES[1] // 2, :2]
+    nodes, common = path.middles, path.common
     own = nodes - np.array([*np.rint(common), 0])
     if path.is_common:  # the fraction of the displacement is part of the transfer function
         points = points + (common - np.rint(common))
         own[..., :2] = 0
-    # surroundings that paths and displacements see
-    seen = np.abs(points).max(axis=0) + SPARE
-    for axis, edges in enumerate(_edges(content.shape, NODES)):
-        places = own[..., axis] + (edges[:, None] if axis == 0 else edges)
-        seen[axis] += max(0.0, np.abs(places).max() - content.shape[axis] / 2)
-    pad = np.ceil(seen).astype(int) + FADE
-    shape = tuple(fft_length(n + 2 * more) for n, more in zip(content.shape, pad, strict=True))
+    worlds = path.worlds(is_whole)
+    shape = tuple(one.length for one in worlds)
+    first = [one.first for one in worlds]
     whole = np.zeros((4, 4, 3))
-    whole[..., :2], whole[..., 2] = np.rint(common) - pad, 1
+    whole[..., :2], whole[..., 2] = np.rint(common) - first, 1
     wide = distort(light, device.array(whole[None]), shape, border, device=device)
-    wide = falloff(wide, np.outer(*map(_fade, shape))[None], device=device)
-    rows, cols = shape
-    fy, fx = np.fft.fftfreq(rows)[:, None], np.arange(cols // 2 + 1) / cols
-    table = transfer(fy, fx, points, *shares)
-    for i in (0, rows // 2) if rows % 2 == 0 else (0,):  # frequencies that are their own opposites
-        for j in (0, cols // 2) if cols % 2 == 0 else (0,):
-            table[i, j] = table[i, j].real
-    table = np.ascontiguousarray(table).view(np.float64).astype(np.float32)[None, None]
-    table, one, found = device.array(table), np.ones((1, 1), np.float32), []
+    if any(one.is_weighted for one in worlds):
+        wide = falloff(wide, np.outer(*(one.weights for one in worlds))[None], device=device)
+    (y, x), weights = _instants(points, *shares)
+    kernel = (worlds[0].waves(y) * weights) @ worlds[1].waves(x).T
+    table = scipy.fft.rfft2(kernel, workers=-1).view(np.float64).astype(np.float32)
+    table, one, found = device.array(table[None, None]), np.ones((1, 1), np.float32), []
     for plane in range(light.shape[0]):
         single = device.reshape(device.part(wide, plane), (1, *shape))
-        smeared = blur(single, table, one, "edge", (rows, cols), device=device)
+        smeared = blur(single, table, one, "edge", shape, device=device)
         found.append(device.reshape(smeared, shape))
-    own[..., :2] += pad
+    own[..., :2] += first
     smeared = _look(device, device.stack(found), own, response, border, content.shape)
     return _scene(device, scene, content, smeared)
+
+
+@dataclass(frozen=True, eq=False)
+class _World:
+    """The light along an axis that a transform repeats.
+
+    Attributes:
+        length: Of the transform [sample].
+        first: Place of the scene's first sample in it.
+        weights: Of the light at each place, float32 (length,).
+        period: After which the world of the kernel repeats itself [sample]; inf: never.
+        is_cut: Whether ripples from beyond are left out.
+    """
+
+    length: int
+    first: int
+    weights: np.ndarray
+    period: float
+    is_cut: bool = False
+
+    @classmethod
+    def of(cls, n: int, border: str, spare: int, path: int, is_whole: bool) -> "_World":
+        """Return the world of an axis of n samples.
+
+        Args:
+            n: Samples of the scene.
+            border: Its border.
+            spare: Samples around the scene that are wanted as well.
+            path: Samples that a path goes from its middle.
+            is_whole: Whether ripples count however far they come from. Else only if that costs no more.
+        """
+        length = fft_length(n + 2 * (spare + path + SPARE + FADE))
+        cut = cls(length, (length - n) // 2, _fade(length), length, True)
+        if border == "reflect":
+            # any period of the mirrored world, between nothing, in the middle of a longer transform
+            before = n // 2
+            length = fft_length(3 * n + 2 * spare + 3)
+            first = (length - n) // 2
+            weights = np.zeros(length, np.float32)
+            weights[first - before : first - before + 2 * n] = 1
+            whole = cls(length, first, weights, 2 * n)
+            for times in range(2 * n, length, 2 * n):
+                if times >= n + 2 * spare and fft_length(times) == times:
+                    ones = np.ones(times, np.float32)
+                    whole = cls(times, (times - n) // 2, ones, times)
+                    break
+        else:  # dark or even beyond, so without ripples: they come from the scene's samples only
+            length = fft_length(n + 2 * spare + max(n + 2 * FADE, 2 * path + 4 * FADE))
+            whole = cls(length, (length - n) // 2, _fade(length), np.inf)
+        return whole if is_whole or whole.length <= cut.length else cut
+
+    @property
+    def is_weighted(self) -> bool:
+        """True if not all of the light counts."""
+        return bool((self.weights != 1).any())
+
+    def waves(self, places: np.ndarray) -> np.ndarray:
+        """Return a sample's band-limited light at places from it, as a transform counts them: (length, n)."""
+        at = np.fft.fftfreq(self.length, 1 / self.length)[:, None]
+        away = at + places
+        if self.period == np.inf:
+            left = np.clip((self.length / 2 - np.abs(at)) / FADE, 0, 1)
+            return np.sinc(away) * _smooth(left)
+        away -= self.period * np.rint(away / self.period)
+        turn = away / self.period
+        found = np.sinc(away) / np.sinc(turn)
+        return found * np.cos(np.pi * turn) if self.period % 2 == 0 else found
+
+    def cut_ripples(self, n: int, border: str) -> np.ndarray:
+        """Return the ripples of n unit samples that are cut, see `world_ripples`."""
+        at, wide = places_among(n), np.arange(self.length) - self.first
+        if border == "reflect":
+            used = self.weights * (1 - 2 * (wide % 2)) * ripple(at - wide, self.length)
+            found = world_ripples(at, n, border)
+            np.subtract.at(found.T, border_indices(wide, n, border), used.T)
+            return found
+        used = world_ripples(at, n, border, period=self.length)
+        return world_ripples(at, n, border) - used
 
 
 def _fade(size):
     """Return weights of `size` samples: 1, and 0 at both ends. Their first three derivatives are continuous."""
     at = np.arange(size)
-    part = np.clip(np.minimum(at, size - 1 - at) / FADE, 0, 1)
-    return (part**4 * (35 - 84 * part + 70 * part**2 - 20 * part**3)).astype(np.float32)
+    return _smooth(np.clip(np.minimum(at, size - 1 - at) / FADE, 0, 1)).astype(np.float32)
+
+
+def _smooth(part):
+    """Return a step from 0 to 1 whose first three derivatives are continuous."""
+    return part**4 * (35 - 84 * part + 70 * part**2 - 20 * part**3)
 
 
 def accumulate(device: Device, path: Path, count: int) -> Scene:
@@ -351,9 +449,49 @@ def accumulate(device: Device, path: Path, count: int) -> Scene:
     return _scene(device, scene, content, total)
 
 
-def _probe(*shape):
-    """Return a path's transfer function at the frequencies of probes."""
-    return transfer(np.fft.fftfreq(SIDE)[:, None], np.arange(SIDE // 2 + 1) / SIDE, *shape)
+def _probe(points: np.ndarray, light: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Return the transfer function of a mean along a path of straight pieces at the frequencies of probes.
+
+    A wave exp(2 pi i f x) becomes its mean along the path times itself.
+
+    Args:
+        points: Ends of the pieces, places looked at relative to the sample, shape (n + 1, 2).
+        light: Share of the light of each piece, shape (n,).
+        middle: Where the middle of that light is between the ends of the piece, 0 .. 1.
+
+    Returns:
+        Complex, shape (SIDE, SIDE // 2 + 1).
+    """
+    places, weights = _instants(points, light, middle)
+    down, right = map(_waves, places)
+    down = np.concatenate(
+        [down[:-1], down[:0:-1].conj()]
+    )  # half a cycle a sample is the lower of both
+    return (down * weights) @ right.T
+
+
+def _waves(places):
+    """Return waves of 0 .. SIDE // 2 cycles to SIDE samples at places, complex (SIDE // 2 + 1, n)."""
+    steps = np.repeat(np.exp(2j * np.pi / SIDE * places)[None], SIDE // 2 + 1, axis=0)
+    steps[0] = 1
+    return np.multiply.accumulate(steps)
+
+
+def _instants(points, light, middle):
+    """Return places on a path, (2, n), and weights: sums that are the means of waves along it.
+
+    The light of a piece is even around its middle.
+    """
+    step = np.diff(points, axis=0)
+    longest = float(np.abs(step).sum(axis=1).max())
+    parts = max(1, ceil(longest / max(GAUSS.values())))
+    count = next(n for n, most in GAUSS.items() if longest / parts <= most)
+    nodes, mass = (own / (2 * parts) for own in np.polynomial.legendre.leggauss(count))
+    along = ((np.arange(parts) + 0.5) / parts - 0.5)[:, None] + nodes
+    at = middle[:, None] + along.ravel()
+    places = points[:-1, :, None] + step[..., None] * at[:, None]
+    weights = light[:, None] * np.tile(mass, parts)
+    return places.swapaxes(0, 1).reshape(2, -1), weights.ravel()
 
 
 def sum_errors(bounds: list[Bound]) -> Bound:
@@ -415,7 +553,7 @@ def _edges(shape, nodes):
 
 
 def _nodes(path, part):
-    """Return nodes for `optics.distort` at a part of each sample's exposure."""
+    """Return nodes for `optics.distort` at parts of each sample's exposure, see `Path.places`."""
     y, x = _edges(path.scene.content.shape, NODES)
     places = path.places(y, x, part)
     return np.stack([places[0] - y[:, None], places[1] - x, np.ones_like(places[0])], axis=-1)

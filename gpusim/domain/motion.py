@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import isfinite, log, pi
+from typing import Any
 
 import numpy as np
 
@@ -95,13 +96,32 @@ class Motion:
         Raises:
             OutOfRange: Shift or zoom of the view is outside its range, see `View`.
         """
-        down, right, turn = self._shake_at(time)
+        down, right, turn = map(float, self._shake_at(time))
         own = View(
             (self.pan[0] * time + down, self.pan[1] * time + right),
             self.roll * time + turn,
             self.zoom * self.zooming**time,
         )
         return own if self.base.is_plain else self.base.compose(own)
+
+    def places(self, times: Any, y: Any, x: Any, ratio: float = 1.0) -> tuple[Any, Any]:
+        """Return the scene positions that frame positions show at times, as `at(time).place(y, x, ratio)` does.
+
+        Args:
+            times: Times [s], a number or an array, as y and x are.
+            y: Rows of the frame, relative to its centre [sample].
+            x: Columns of the frame [sample].
+            ratio: Scene samples per pixel.
+
+        Returns:
+            Rows and columns of the scene, relative to its centre [sample].
+        """
+        times = np.asarray(times, np.float64)
+        down, right, turn = self._shake_at(times)
+        angle, zoom = self.roll * times + turn, self.zoom * self.zooming**times
+        c, s = np.cos(angle) / zoom, np.sin(angle) / zoom
+        rows = c * y + s * x + ratio * (self.pan[0] * times + down)
+        return self.base.place(rows, c * x - s * y + ratio * (self.pan[1] * times + right), ratio)
 
     def through(self, view: View) -> "Motion":
         """Return the same motion of the frame that a view shows.
@@ -114,13 +134,14 @@ class Motion:
         """
         return self if view.is_plain else replace(self, base=view)
 
-    def _shake_at(self, time):
-        """Return the displacement by hand shake: rows, columns [pixel] and rotation [rad]."""
+    def _shake_at(self, times):
+        """Return the displacement by hand shake, of the shape of times: rows, columns [pixel], rotation [rad]."""
         if not self.shake:
             return 0.0, 0.0, 0.0
         frequency, amplitude, phase = self._waves
-        moves = (amplitude * np.sin(2 * pi * frequency * time + phase)).sum(axis=1)
-        return tuple(float(move) for move in self.shake * moves * (1, 1, ROLL))
+        times = np.asarray(times)[..., None, None]
+        moves = (amplitude * np.sin(2 * pi * frequency * times + phase)).sum(axis=-1)
+        return np.moveaxis(self.shake * moves * (1, 1, ROLL), -1, 0)
 
     @cached_property
     def _waves(self):

@@ -104,7 +104,15 @@ def median_of(brightness) -> float:
 
 
 def split_highlights(
-    content: Content, brightness, q: float, margin: int, border: str, most: int = MOST, end: int = 0
+    content: Content,
+    brightness,
+    q: float,
+    margin: int,
+    border: str,
+    most: int = MOST,
+    end: int = 0,
+    moved: tuple[int, int] = (0, 0),
+    rim: int = 0,
 ):
     """Return the content without its highlights, and the highlights (None if none can be split off).
 
@@ -118,6 +126,9 @@ def split_highlights(
         border: "zero", "edge" or "reflect".
         most: Points that are split off at most.
         end: Pixel at which kernels end; 0: they do not.
+        moved: Rows and columns by which a view displaces the samples. Places are displaced, too: the border's rule
+            holds for the picture that the view shows.
+        rim: Samples around that picture that are seen as well.
     """
     median = median_of(brightness)
     bright = np.flatnonzero(brightness > THRESHOLD * median)
@@ -130,6 +141,8 @@ def split_highlights(
         longest = max(high, wide)
         images = MOST * (2 * (longest // high) + 1) * (2 * (longest // wide) + 1)
         single[:] = images <= MOST_IMAGES  # no narrow strip between two mirrors
+    for at, move, n in zip((rows, cols), moved, (high, wide), strict=True):
+        single &= _is_shown(at, move, n, border, rim)
     chosen = bright[single]
     chosen = chosen[np.argsort(brightness.flat[chosen])[::-1][:most]]
     if not len(chosen):
@@ -158,7 +171,7 @@ def split_highlights(
     reach = np.minimum(np.maximum(reach, CORE), max(high, wide)).astype(np.int32)
     if end:
         reach = np.full(len(rows), end, np.int32)
-    places = np.stack([rows, cols], axis=1)
+    places = np.stack([rows, cols], axis=1) + moved
     image = np.arange(len(rows))
     missing = 0.0
     if border == "reflect":
@@ -178,6 +191,19 @@ def split_highlights(
         np.zeros(len(image), np.int32),
         ON_AXIS,
     )
+
+
+def _is_shown(at, move, n, border, rim):
+    """Return which of n samples along an axis a view shows once, and not at an edge that goes on."""
+    if not move:
+        return np.ones(len(at), bool)
+    inside = range(-rim, n + rim)
+    first, last = (inside[1], inside[-2]) if border == "edge" else (inside[0], inside[-1])
+    shown = (at + move >= first) & (at + move <= last)
+    if border == "reflect":
+        for image in (-1 - at + move, 2 * n - 1 - at + move):
+            shown &= (image < inside[0]) | (image > inside[-1])
+    return shown & (abs(move) < n)
 
 
 def _mirror(places, image, axis, n, reach):

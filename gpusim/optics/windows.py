@@ -147,14 +147,14 @@ def quantile(values, weight, part):
     The largest values of each row give a lower limit, below which values are skipped.
     """
     above = (1 - part) * weight.sum() * values[0, 0].size
-    least = _level_above(values.max(axis=-1), weight[..., None], above)
+    least = level_above(values.max(axis=-1), weight[..., None], above)
     some = values >= least
     weight = np.broadcast_to(weight[..., None, None], values.shape)
-    return float(_level_above(values[some], weight[some], above))
+    return float(level_above(values[some], weight[some], above))
 
 
-def _level_above(values, weight, above):
-    """The value down to which, from the largest on, the weights add up to `above`."""
+def level_above(values, weight, above):
+    """Return the value down to which, from the largest on, the weights add up to `above`."""
     weight = np.broadcast_to(weight, values.shape).ravel()
     order = np.argsort(values, axis=None)[::-1]
     last = min(np.searchsorted(np.cumsum(weight[order]), above), len(order) - 1)

@@ -17,8 +17,9 @@ from gpusim.domain.account import Bound
 from gpusim.domain.scene import View
 from gpusim.optics.fusion import SAMPLED_PERIOD, in_range
 from gpusim.optics.geometry import interpolated_share, interpolation_error
-from gpusim.optics.outside import border_indices
-from gpusim.optics.windows import Windows, quantile
+from gpusim.optics.outside import border_indices, rule_of
+from gpusim.optics.ripples import places_among, world_ripples
+from gpusim.optics.windows import Windows, level_above, quantile
 from gpusim.planner.facts import Facts
 
 # of a window, and of its rim on each side, which does not count [sample]
@@ -90,6 +91,9 @@ class Probes:
         inner: Rows and columns of the windows' inner parts that are in the frame.
         channels: Channel of each pixel of the inner parts, int (n, *inner); None: several, or
             samples are no pixels.
+        brightness: Light of all samples in all channels [e- s-1], shape (rows, cols); None: not known.
+        border: How samples go on beyond it: "zero", "edge" or "reflect".
+        path: Part of each wave that motion leaves, (SIDE, SIDE // 2 + 1); None: all.
     """
 
     windows: Windows
@@ -105,6 +109,9 @@ class Probes:
     apart: float | None = None
     inner: tuple[int, int] = (INNER, INNER)
     channels: np.ndarray | None = None
+    brightness: np.ndarray | None = None
+    border: str = "edge"
+    path: np.ndarray | None = None
     # computed once: of the windows' light, through any lens; and behind this lens, in any operation of the camera
     _parts: dict = field(init=False, repr=False, default_factory=dict)
     _seen: dict = field(init=False, repr=False, default_factory=dict)
@@ -148,7 +155,7 @@ class Probes:
         spectra = scipy.fft.rfft2(planes, workers=-1)
         if entries is not None:
             spectra, means = _mix(entries.T, spectra), means @ entries
-        return cls(windows, spectra, means.astype(np.float64), **known)
+        return cls(windows, spectra, means.astype(np.float64), border=rule_of(border), **known)
 
     @cached_property
     def exact(self) -> np.ndarray:
@@ -258,7 +265,24 @@ class Probes:
         """
         if view.is_whole(ratio):
             return Bound()
-        return (self if view.zoom == 1 else self._magnify(view.zoom)).interpolation_bound()
+        bound = (self if view.zoom == 1 else self._magnify(view.zoom)).interpolation_bound()
+        # ripples of stars are far from their windows, too
+        return replace(bound, p999_sigma=max(bound.p999_sigma, self._ripple_error.p999_sigma))
+
+    @cached_property
+    def _ripple_error(self) -> Bound:
+        """The error of ripples from afar that cubics do not have, between samples."""
+        if self.brightness is None or not self.level > 0:
+            return Bound()
+        errors = []
+        for axis, n in enumerate(self.brightness.shape):
+            # a window has those that are near
+            weights = world_ripples(places_among(n), n, self.border, INNER / 4)
+            path = np.ones((SIDE, SIDE // 2 + 1)) if self.path is None else self.path
+            part = np.maximum(path[: SIDE // 2 + 1, -1], path[-np.arange(SIDE // 2 + 1), -1])
+            part = part if axis else path[SIDE // 2]
+            errors.append(self.see_ripples(axis, weights, part))
+        return self.everywhere(errors)
 
     def _magnify(self, zoom: float) -> "Probes":
         """The same windows if the lens blurs a magnified picture: waves of f cycles per sample become f / zoom."""
@@ -362,6 +386,36 @@ class Probes:
         size, sigma = self._light.size * self.seconds * rms, self._sigma
         # the quantile and the maximum of a normal distribution, over a million pixels
         return Bound(rms, float(3.3 * size / sigma.low), float(5 * size / sigma.least))
+
+    def see_ripples(self, axis: int, weights: np.ndarray, part: np.ndarray) -> np.ndarray:
+        """Return ripples along an axis as all channels together see them [e- s-1], without signs.
+
+        Args:
+            axis: The axis.
+            weights: Ripples of unit samples at places along the axis, see `world_ripples`.
+            part: Part of waves along the other axis, (SIDE // 2 + 1,), that the light there has.
+
+        Returns:
+            Of each place and sample of the other axis.
+        """
+        lens = np.abs(self.tables).max(axis=0)
+        seen = np.maximum(lens[:, -1], lens[-np.arange(SIDE), -1]) if axis else lens[SIDE // 2]
+        kernel = np.roll(np.fft.irfft(part * seen[: SIDE // 2 + 1], SIDE), SIDE // 2)
+        assert self.brightness is not None  # whoever asks knows
+        light = np.moveaxis(self.brightness, axis, 0)
+        ripples = np.asarray(weights, light.dtype) @ light
+        middle = np.s_[SIDE // 2 : SIDE // 2 + ripples.shape[1]]
+        return np.abs([np.convolve(one, kernel)[middle] for one in ripples])
+
+    def everywhere(self, errors: list[np.ndarray]) -> Bound:
+        """Return the bound of errors [e- s-1] of all channels together at places all over the frame, without signs."""
+        sigma, light = self._sigma, self.means @ self.weights.T
+        share = (light.max(axis=1) / np.maximum(light.sum(axis=1), 1e-300)).max()  # of a channel
+        weight = np.concatenate([np.full(one.size, 1 / one.size) for one in errors])
+        values = np.concatenate([one.ravel() for one in errors])
+        most = level_above(values, weight, 1e-3 / 2) / sigma.low, values.max() / sigma.least
+        rms = np.sqrt(weight @ np.square(values, dtype=np.float64)) / self.level
+        return Bound(float(rms), *(float(self.seconds * share * one) for one in most))
 
     def brightness_error(self, share: float) -> Bound:
         """The error of a picture that is brighter by this share everywhere."""

@@ -21,30 +21,35 @@ void place8(__global const float *restrict line, const int x, const int nx, cons
     const int8 first = clamp(convert_int8(convert_float8(at) * (0.5f / cols)) - 1, 0, nx - 4);
     const float8 s = convert_float8(at - first * (2 * cols)) * (0.5f / cols);
     const float8 s1 = s - 1.0f, s2 = s - 2.0f, s3 = s - 3.0f;
-    const float8 w[4] = {s1 * s2 * s3 * (-1.0f / 6.0f), s * s2 * s3 * 0.5f, s * s1 * s3 * -0.5f, s * s1 * s2 * (1.0f / 6.0f)};
-    *v = *u = *flux = (float8)(0.0f);
+    const float8 w[4] = {(float8)(0.0f), s * s2 * s3 * 0.5f, s * s1 * s3 * -0.5f, s * s1 * s2 * (1.0f / 6.0f)};
+    float8 sums[3] = {(float8)(0.0f), (float8)(0.0f), (float8)(0.0f)};  // of differences, as in `place`
     if (first.s0 == first.s7) {
         __global const float *from = line + first.s0 * 3;
 #pragma unroll
-        for (int b = 0; b < 4; ++b) {
-            *v += w[b] * from[3 * b];
-            *u += w[b] * from[3 * b + 1];
-            *flux += w[b] * from[3 * b + 2];
-        }
+        for (int b = 1; b < 4; ++b)
+            for (int c = 0; c < 3; ++c) sums[c] += w[b] * (from[3 * b + c] - from[c]);
+        *v = from[0] + sums[0];
+        *u = from[1] + sums[1];
+        *flux = from[2] + sums[2];
         return;
     }
     int of[8];
     vstore8(first * 3, 0, of);
+    float8 here[3];
 #pragma unroll
     for (int b = 0; b < 4; ++b) {
         float values[3][8];
 #pragma unroll
         for (int lane = 0; lane < 8; ++lane)
             for (int c = 0; c < 3; ++c) values[c][lane] = line[of[lane] + 3 * b + c];
-        *v += w[b] * vload8(0, values[0]);
-        *u += w[b] * vload8(0, values[1]);
-        *flux += w[b] * vload8(0, values[2]);
+        for (int c = 0; c < 3; ++c) {
+            if (b) sums[c] += w[b] * (vload8(0, values[c]) - here[c]);
+            else here[c] = vload8(0, values[c]);
+        }
     }
+    *v = here[0] + sums[0];
+    *u = here[1] + sums[1];
+    *flux = here[2] + sums[2];
 }
 
 __kernel void limited(

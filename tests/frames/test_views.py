@@ -40,6 +40,27 @@ def planes():
     return np.random.default_rng(2).random((4, 60, 60)) + 0.2
 
 
+@pytest.mark.parametrize("border", ["edge", "reflect", "zero"])
+@pytest.mark.parametrize("star", [(18, 38), (18, 39), (18, 36), (1, 5)])
+def test_highlights_by_the_border_of_a_displaced_view_are_those_of_its_picture(border, star):
+    """A star at an edge of the picture goes on there, one outside is not seen: as in the picture by itself."""
+    planes = np.ones((4, 33, 42))
+    planes[:, *star] = 3e4
+    mode = {"edge": "edge", "reflect": "symmetric", "zero": "constant"}[border]
+    around = np.pad(planes, [(0, 0), (9, 9), (9, 9)], mode=mode)
+    simulator = gs.Simulator(PHONE, device="opencl:0", tolerance="metrology")
+    (found, said), (own, other) = (
+        (np.asarray(one.mean, np.float64), one.plan.account.at(0.01).total.max_sigma)
+        for one in (
+            simulator.expose(scene_of(planes, border=border, view=gs.View((2, -3))), 0.01),
+            simulator.expose(scene_of(around[:, 11:44, 6:48], border=border), 0.01),
+        )
+    )
+    sigma = np.sqrt(np.maximum(own, 1) + PHONE.sensor.read_sigma**2)
+    # places are whole, so nothing leaks from a star outside. 2: float32 noise may have other maxima; 1e-3: its sums
+    assert (np.abs(found - own) / sigma).max() < 2 * (said + other) + 1e-3
+
+
 @pytest.mark.parametrize("device", ["numpy", *KINDS])
 @pytest.mark.parametrize("border", ["edge", "reflect", "zero"])
 def test_whole_samples_and_quarter_turns_are_exact(device, border, planes):

@@ -15,6 +15,7 @@ from gpusim.domain.pupil import Pupil, Wavefront
 sys.path.append(str(Path(__file__).parents[2] / "bench"))
 
 import triple_brute as brute
+import triple_captures as captures
 import triple_geometry as geometry
 import triple_judge as judge
 import triple_mixed as mixed
@@ -201,3 +202,18 @@ def test_surfaces_in_several_lights_are_products():
     np.testing.assert_allclose(
         [outside.spectra(content, band) for band in range(4)], wanted, rtol=1e-6
     )
+
+
+def test_scenes_are_displaced_as_band_limited_light():
+    """A mirrored world repeats itself, so cosines of it stay cosines; even light stays even at an edge that goes on."""
+    y, x = np.arange(9), np.arange(14)
+    for cycles in (0, 3, 8):
+
+        def wave(at, n, k=cycles):
+            return np.cos(np.pi * k * (at + 0.5) / n)
+
+        planes = np.outer(wave(y, 9), wave(x, 14))[None]
+        found = captures.shifted(planes, (0.3, -2.7), "reflect")[0]
+        assert np.abs(found - np.outer(wave(y + 0.3, 9), wave(x - 2.7, 14))).max() < 1e-12
+    # the end of what goes on is smooth over 2000 samples
+    assert np.abs(captures.shifted(np.ones((1, 9, 14)), (0.4, 1.3), "edge") - 1).max() < 1e-6

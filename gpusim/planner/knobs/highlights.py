@@ -229,15 +229,17 @@ def _split_off(question, brightness):
     q, end = float(question.q.max()), core
     if lens.tail is not None:
         q, end = q * lens.tail.strength * np.pi**3 * (2 if lens.tail.lines else 1), 0
-    rest, made = split_highlights(content, brightness, q, scene.margin, rule, most, end)
+    moved = np.rint(scene.view.locate(*np.zeros(2), question.ratio)).astype(int)
+    seen = moved, question.rim
+    rest, made = split_highlights(content, brightness, q, scene.margin, rule, most, end, *seen)
     if made is None:
         return rest, None
     made = replace(made, core=core)
     if lens.tail is not None and lens.tail.lines:  # a streak falls slowly
         made = replace(made, reach=np.full_like(made.reach, longest))
     if is_single:
-        moved = np.array(scene.view.locate(*np.zeros(2), question.ratio))
-        return rest, replace(made, places=made.places + np.rint(moved).astype(int))
+        return rest, made
+    made = replace(made, places=made.places - moved)  # of the scene, which the lens displaces
     middle = (np.array(scene.samples) - 1) / 2
     at = _image_places(question, made.places - middle) + middle
     places = np.rint(at).astype(int)

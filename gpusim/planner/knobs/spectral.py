@@ -319,6 +319,7 @@ def _probe(question, picture, flat, tables):
         apart=picture.apart,
         inner=inner,
         channels=channels,
+        brightness=picture.brightness,
     )
 
 
