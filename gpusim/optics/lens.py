@@ -51,10 +51,12 @@ class Symmetry:
     Attributes:
         is_round: On the axis the blur is the same at every angle.
         is_mirrored: The blur at a field point is the mirror image of the blur on the other side of the axis.
+        is_opposite: The blur at a field point, turned by half a turn, is the blur at the opposite point.
     """
 
     is_round: bool
     is_mirrored: bool
+    is_opposite: bool = False
 
 
 @dataclass(frozen=True)
@@ -187,10 +189,18 @@ class Lens(Protocol):
     def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
         """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
 
-    def moments(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
+    def moments(
+        self, wavelengths, place, distance: float | None = None, size: int = 1
+    ) -> np.ndarray:
         """Return the first moments of the energies of all pixels around a point's ideal image, (L, 2) [sample].
 
         They are the centroid, unless pixels are coarser than the light's finest waves.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            place: Field point (y, x).
+            distance: Distance of the object [m]; None: the plane in focus.
+            size: Side of `kernels` that are also computed [sample]: both then share their work.
         """
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance: float | None = None):
@@ -296,7 +306,7 @@ class _OnGrid:
         """See `Lens`."""
         raise NotImplementedError
 
-    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+    def moments(self, wavelengths, place, distance=None, size=1) -> np.ndarray:
         """See `Lens`."""
         return self.centroids(wavelengths, place, distance)
 
@@ -377,8 +387,9 @@ class PupilLens(_OnGrid):
     @cached_property
     def symmetry(self) -> Symmetry:
         """See `Lens`."""
-        is_mirrored = self.optics.has_mirror and not any(self.displacement)
-        return Symmetry(self.optics.is_symmetric, is_mirrored)
+        is_centred, sides = not any(self.displacement), len(self.optics.pupil.sides)
+        is_mirrored = self.optics.has_mirror and is_centred
+        return Symmetry(self.optics.is_symmetric, is_mirrored, is_centred and sides % 2 == 0)
 
     @cached_property
     def tail(self) -> Tail:
@@ -534,7 +545,7 @@ class PupilLens(_OnGrid):
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
-    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+    def moments(self, wavelengths, place, distance=None, size=1) -> np.ndarray:
         """See `Lens`."""
         q, light = self.q(wavelengths), self.centroids(wavelengths, place, distance)
         if q.min() >= 1:
@@ -546,15 +557,16 @@ class PupilLens(_OnGrid):
             return _first_moments(self.kernels(wavelengths, place, size, distance))
         pupil, soft = self.optics.pupil, self.optics.diffuser / self.pitch
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
-        return _moments(pupil, waves, q, shifts, tuple(self.aperture), self.spots, soft, light)
+        settings = tuple(self.aperture), self.spots, soft
+        return _moments(pupil, waves, q, shifts, *settings, light, size)
 
 
 @stored
-def _moments(pupil, waves, q, shifts, aperture, spots, soft, centroids):
+def _moments(pupil, waves, q, shifts, aperture, spots, soft, centroids, size):
     """First moments of all pixels' energies (L, 2): see `gpusim.optics.sampled.moment_of_pixels`."""
     return np.array(
         [
-            moment_of_pixels(pupil, wave, float(one), shift, aperture, spots, soft, centroid)
+            moment_of_pixels(pupil, wave, float(one), shift, aperture, spots, soft, centroid, size)
             for wave, one, shift, centroid in zip(waves, q, shifts, centroids, strict=True)
         ]
     )
