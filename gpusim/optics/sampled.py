@@ -434,6 +434,29 @@ def _difference(pupil, wave, half, focus, fading):
     return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
 
 
+def difference_kernels(
+    pupil: Pupil, waves, q, aperture, spots, soft, shift, least: int = 1
+) -> np.ndarray:
+    """Return kernels of wavefronts less the kernel in focus, of sum 0, float32 (bands, size, size).
+
+    Arguments as of `difference_tables`. least: side at least [pixel].
+    """
+    half, _ = window(pupil, waves)
+    size = max(least, 2 * int(np.ceil(2 * max(q) * STEP * half + MARGIN)) + 1)
+    focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
+    out = np.empty((len(waves), size, size), np.float32)
+
+    def make(band):
+        left = _difference(pupil, waves[band], half, focus, fading)
+        axes = _axes(q[band], shift, aperture, spots, soft)
+        down, across = (pixel_shares(size, half, *axis) for axis in axes)
+        multiply(down, multiply(left, across.T), out=out[band])
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(make, range(len(waves))))
+    return out
+
+
 @stored
 def difference_tables(
     pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift
