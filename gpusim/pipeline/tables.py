@@ -20,6 +20,7 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.psf import fastest_turn
 from gpusim.optics.rays import AFFORDABLE
 from gpusim.optics.sampled import difference_kernels
 from gpusim.optics.tables import add_spectra, exact_tables, transfer_tables
@@ -29,6 +30,8 @@ from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
 DRAFT_NODES = 5  # wavelengths between which kernels of drafts are cubic
+DRAFT_BANDS = 17  # wavelengths between which tables of drafts are cubic: they err by 5e-4 at most
+MOST_TURN = 4.0  # [waves per radius] of the wavefront up to which they do
 SHORT = 127  # [sample] at least of a draft's kernels that hold all light
 RADII, ANGLES = 65, 129  # of frequencies between which a transfer function in focus is linear
 
@@ -117,7 +120,8 @@ class LensTables:
             return rest if known is None else (known, rest)
         # tables of its wavelengths next to tables of a plan
         name = f"transfer {blur.mix.shape}"
-        return self._cache(name, make_tables, *made_of, plan.find(FarField), self.device)
+        is_draft = plan.is_draft and fusion is not None
+        return self._cache(name, make_tables, *made_of, plan.find(FarField), self.device, is_draft)
 
     def _made_of(self, plan) -> tuple:
         """Everything that tables of wavelengths depend on: lens, distance and size of samples, displacement, and q."""
@@ -217,9 +221,12 @@ def make_tables(made_of, period, transfers, far, device, is_draft=False) -> Any:
     """
     own = transfers
     if is_draft:
-        *settings, q = made_of
-        nodes, between = wavelength_nodes(q)  # q goes with the wavelength
-        made_of, own = (*settings, nodes), transfers @ between
+        optics, *settings, q = made_of
+        # q goes with the wavelength; few counts, as kernels are compiled for each
+        shortest = q.min(keepdims=True) * settings[0] / optics.working_f_number * 1e9
+        turn = fastest_turn(optics.waves(shortest, longest=np.inf)[0])
+        nodes, between = wavelength_nodes(q, DRAFT_BANDS if turn < MOST_TURN else len(q))
+        made_of, own = (optics, *settings, nodes), transfers @ between
     tables = combine_bands(bands_of(made_of, period, device), own, device)
     if far is None:
         return tables
