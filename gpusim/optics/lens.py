@@ -34,6 +34,7 @@ from gpusim.optics.sampled import (
     moment_of_pixels,
     sampled_kernel,
     sampled_transfer,
+    stored_difference_kernels,
     window,
 )
 from gpusim.optics.series import points_at
@@ -231,6 +232,12 @@ class Lens(Protocol):
             else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them.
         """
 
+    def table_parts(self, q, rows: int, cols: int, stages: Stages) -> tuple | None:
+        """Return tables of the lens in focus, and kernels that hold the rest, if `tables` are sums of these.
+
+        Else None. The kernels are float32 (L, n, n), n odd.
+        """
+
     def table_error(self, wavelengths, distance: float | None = None) -> float:
         """Return the error of the transfer tables that is not far below all others [1]; 0 if there is none."""
 
@@ -323,6 +330,10 @@ class _OnGrid:
     def tails(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
         return np.zeros((len(wavelengths), len(farfield.POWERS)))
+
+    def table_parts(self, q, rows, cols, stages) -> tuple | None:
+        """See `Lens`."""
+        return None
 
     def table_error(self, wavelengths, distance=None) -> float:
         """See `Lens`."""
@@ -433,25 +444,34 @@ class PupilLens(_OnGrid):
             return self._ray_tables(waves, q, rows, cols, stages)
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
-        optics, images = self.optics, tuple(2 * spot for spot in self.spots)
-        soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
+        optics = self.optics
         if not is_too_costly(optics.pupil, waves, stages.affordable):
-            return stages.pupil(optics.pupil, waves, q, *settings, images, soft, self.displacement)
-        flat = np.zeros((len(q), 1, 1))
-        focus = stages.pupil(optics.pupil, flat, q, *settings, images, soft, self.displacement)
-        other = difference_tables(
-            optics.pupil,
-            waves,
-            q,
-            rows,
-            cols,
-            self.aperture,
-            self.spots,
-            soft,
-            tuple(-np.array(self.displacement)),
-        )
+            return self._pupil_tables(waves, q, rows, cols, stages)
+        focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
+        first, *settings = self._sampled(waves, q)
+        other = difference_tables(*first, rows, cols, *settings)
         is_round = symmetric(optics.pupil, waves) and not any(self.displacement)
         return stages.add(focus, other, is_round)
+
+    def table_parts(self, q, rows, cols, stages) -> tuple | None:
+        """See `Lens`."""
+        waves = self.waves(self.nanometres(q))
+        if self._by_rays(waves) or not is_too_costly(self.optics.pupil, waves, stages.affordable):
+            return None
+        focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
+        first, *settings = self._sampled(waves, q)
+        return focus, stored_difference_kernels(*first, *settings)
+
+    def _sampled(self, waves, q):
+        """Arguments of `difference_tables`: pupil, waves and q together, and those after the period."""
+        soft, shift = self.optics.diffuser / self.pitch, tuple(-np.array(self.displacement))
+        return (self.optics.pupil, waves, q), self.aperture, self.spots, soft, shift
+
+    def _pupil_tables(self, waves, q, rows, cols, stages):
+        """Tables of integrals over the pupil."""
+        images, soft = tuple(2 * spot for spot in self.spots), self.optics.diffuser / self.pitch
+        settings = self.aperture, rows, cols, images, soft, self.displacement
+        return stages.pupil(self.optics.pupil, waves, q, *settings)
 
     def _ray_tables(self, waves, q, rows, cols, stages):
         """Tables of rays, see `gpusim.optics.geometric`."""

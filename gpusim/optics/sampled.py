@@ -434,27 +434,35 @@ def _difference(pupil, wave, half, focus, fading):
     return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
 
 
-def difference_kernels(
-    pupil: Pupil, waves, q, aperture, spots, soft, shift, least: int = 1
-) -> np.ndarray:
+def difference_kernels(pupil: Pupil, waves, q, aperture, spots, soft, shift) -> np.ndarray:
     """Return kernels of wavefronts less the kernel in focus, of sum 0, float32 (bands, size, size).
 
-    Arguments as of `difference_tables`. least: side at least [pixel].
+    Arguments as of `difference_tables`.
     """
     half, _ = window(pupil, waves)
-    size = max(least, 2 * int(np.ceil(2 * max(q) * STEP * half + MARGIN)) + 1)
+    sizes = _sizes_of(q, half)
     focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
-    out = np.empty((len(waves), size, size), np.float32)
+    out = np.zeros((len(waves), max(sizes), max(sizes)), np.float32)
 
     def make(band):
         left = _difference(pupil, waves[band], half, focus, fading)
         axes = _axes(q[band], shift, aperture, spots, soft)
-        down, across = (pixel_shares(size, half, *axis) for axis in axes)
-        multiply(down, multiply(left, across.T), out=out[band])
+        down, across = (pixel_shares(sizes[band], half, *axis) for axis in axes)
+        rim = (max(sizes) - sizes[band]) // 2
+        inner = slice(rim, rim + sizes[band])
+        out[band, inner, inner] = multiply(down, multiply(left, across.T))
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
     return out
+
+
+def _sizes_of(q, half):
+    """Sides of the kernels that hold a window of the irradiance [pixel]."""
+    return [2 * int(np.ceil(2 * one * STEP * half + MARGIN)) + 1 for one in q]
+
+
+stored_difference_kernels = stored(difference_kernels)
 
 
 @stored
@@ -475,7 +483,7 @@ def difference_tables(
         shift: Displacement of the image, (rows, cols) [pixel].
     """
     half, _ = window(pupil, waves)
-    sizes = [2 * int(np.ceil(2 * one * STEP * half + MARGIN)) + 1 for one in q]
+    sizes = _sizes_of(q, half)
     focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
     out = np.empty((len(waves), rows, cols // 2 + 1), np.complex64)
 

@@ -227,10 +227,35 @@ def make_tables(made_of, period, transfers, far, device, is_draft=False) -> Any:
         turn = fastest_turn(optics.waves(shortest, longest=np.inf)[0])
         nodes, between = wavelength_nodes(q, DRAFT_BANDS if turn < MOST_TURN else len(q))
         made_of, own = (optics, *settings, nodes), transfers @ between
-    tables = combine_bands(bands_of(made_of, period, device), own, device)
+    tables = None
+    if own is not None:
+        tables = _sum_of_parts(made_of, period, own, device)
+    if tables is None:
+        tables = combine_bands(bands_of(made_of, period, device), own, device)
     if far is None:
         return tables
     return near(tables, far.energies(transfers), far.sigmas, period, device=device)
+
+
+def _sum_of_parts(made_of, period, transfers, device) -> Any:
+    """Return tables of planes from kernels of planes in place of many wavelengths; None if the lens has none."""
+    optics, pitch, aperture, displacement, q = made_of
+    lens = open_lens(optics, pitch, aperture, displacement=displacement)
+    parts = lens.table_parts(q, *period, _OnDevice(device))
+    if parts is None or parts[1].shape[-1] > min(period):
+        return None
+    focus = device.numpy(combine_bands(parts[0], transfers, device))
+    rest = _spectra_of_kernels(np.tensordot(np.float32(transfers), parts[1], 1), period, device)
+    whole = device.numpy(rest).view(np.complex64)
+    high = period[0] // 2 + 1
+    if focus.shape == rest.shape:
+        whole += focus.view(np.complex64)
+    elif lens.symmetry.is_round and not any(displacement):
+        return device.array(focus + whole[..., :high, :].real)
+    else:
+        whole.real[..., :high, :] += focus
+        whole.real[..., high:, :] += focus[..., period[0] - high : 0 : -1, :]
+    return device.array(whole.view(np.float32))
 
 
 def is_drafted(plan: Plan) -> bool:
