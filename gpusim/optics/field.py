@@ -37,6 +37,7 @@ SPACING = 8  # [pixel] between places, at least
 COARSE = 1e-4
 COUNTS = (3, 5, 6, 7, NODES)  # of wavelengths between which kernels are cubic
 UNEVEN = 1e-5  # of the largest value, by which a symmetric kernel on the axis may err
+ROOM = 1.5  # times the error by the end of kernels that it may be
 TRIED = (1.0, 0.6)  # heights over the corner's at which their error is measured
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
@@ -740,7 +741,7 @@ class Differences:
         return y * at[:, None] + x * at
 
     def _enough_wavelengths(self, wavelengths, mix, error):
-        """Count of wavelengths between which kernels of the planes err less than `error`, and their error.
+        """Count of wavelengths between which kernels of the planes err less than ROOM * `error`, and their error.
 
         It is measured at the farthest corner and between there and the axis. The last of COUNTS is the truth, and errs
         a tenth of the one before.
@@ -761,7 +762,7 @@ class Differences:
         truth = planes_at(COUNTS[-1])
         for count in COUNTS[:-1]:
             wrong = image_error(planes_at(count), truth)[1]
-            if wrong <= error:
+            if wrong <= ROOM * error:
                 return count, wrong
         return COUNTS[-1], 0.0
 

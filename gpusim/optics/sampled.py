@@ -44,6 +44,7 @@ FLAT = 0.75  # part of the window up to which differences count in full
 STEP = 0.25  # of the samples of the irradiance, in X
 FINE = 4.0  # samples of a row in a cycle of the fastest phase: sums err by 1e-6, with 3 by 2e-5
 PIECE = 1024  # frequencies at a time
+PAIRED = 1e-12  # by which rows on both sides of the middle may differ
 NODES = 4  # of the Gauss nodes of half a panel where nothing turns
 PER_CYCLE = 1.5  # of them for every cycle of the phase from one end of the panel to the other
 
@@ -191,9 +192,16 @@ def _irradiance(pupil, half, shape, values):
             right, left = values[:, middle:], values[:, middle - 1 :: -1]
             by_cos[:, part] = (right + left) @ cos_u
             by_sin[:, part] = (right - left) @ sin_u
-        straight, crossed = cos_v @ by_cos, sin_v @ by_sin
-        if not even:
-            along, across = _turn(cos_v @ by_sin), _turn(sin_v @ by_cos)
+        if (upper := cos_v.shape[1]) < len(v):  # rows v, then rows -v
+            up_cos, down_cos, up_sin, down_sin = (
+                part for by in (by_cos, by_sin) for part in (by[:upper], by[upper:])
+            )
+            straight, crossed = cos_v @ (up_cos + down_cos), sin_v @ (up_sin - down_sin)
+            along, across = cos_v @ (up_sin + down_sin), sin_v @ (up_cos - down_cos)
+        else:
+            straight, crossed = cos_v @ by_cos, sin_v @ by_sin
+            if not even:
+                along, across = cos_v @ by_sin, sin_v @ by_cos
     minus, plus = straight - crossed, straight + crossed
     energy = np.empty((2 * half + 1,) * 2, np.float32)
     below, above = slice(half, None), slice(half, None, -1)
@@ -201,6 +209,7 @@ def _irradiance(pupil, half, shape, values):
         energy[below, below] = energy[above, above] = _squares(minus)
         energy[below, above] = energy[above, below] = _squares(plus)
     else:
+        along, across = _turn(along), _turn(across)
         both, rest = along + across, along - across
         energy[below, below], energy[above, above] = _squares(minus + both), _squares(minus - both)
         energy[below, above], energy[above, below] = _squares(plus - rest), _squares(plus + rest)
@@ -212,16 +221,25 @@ def _irradiance(pupil, half, shape, values):
 def _grid(pupil, half, cycles, upper):
     """Rows v, their even samples u, the samples' weights, and cosines and sines of all X >= 0 at u > 0 and at v.
 
-    upper: only rows v > 0: rows -v are the rows v from right to left.
+    upper: only rows v > 0: rows -v are the rows v from right to left. Else, if each row v has a row -v, rows v > 0 come
+    first, then rows -v in the same order, and cosines and sines at v are of the first.
     """
     count = 2 * int(np.ceil(FINE * cycles)) + ORDER
     diagonal = cycles + (np.sqrt(2) - 1) * half * STEP
     v, weights = rows_of(pupil, cycles, count, diagonal)
+    some = v
     if upper:
         v, weights = v[v > 0], weights[v > 0]
+        some = v
+    else:
+        above, below = np.flatnonzero(v > 0), np.flatnonzero(v < 0)
+        above, below = above[np.argsort(v[above])], below[np.argsort(-v[below])]
+        if len(above) == len(below) and np.abs(v[above] + v[below]).max() < PAIRED:
+            order, some = np.concatenate([above, below]), v[above]
+            v, weights = v[order], weights[order]
     _, u = _places(count)
     x = 2 * np.pi * STEP * np.arange(half + 1)
-    along, across = np.outer(u[count // 2 :], x), np.outer(x, v)
+    along, across = np.outer(u[count // 2 :], x), np.outer(x, some)
     waves = (
         turn(phase).astype(np.float32) for phase in (along, across) for turn in (np.cos, np.sin)
     )
