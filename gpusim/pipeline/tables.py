@@ -19,7 +19,7 @@ from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.lens import lens_of, open_lens, wavelength_nodes
 from gpusim.optics.psf import fastest_turn
 from gpusim.optics.rays import AFFORDABLE
 from gpusim.optics.sampled import difference_kernels
@@ -260,14 +260,14 @@ def _sum_of_parts(made_of, period, transfers, device) -> Any:
 
 def is_drafted(plan: Plan) -> bool:
     """Return whether the tables of a plan are made by `draft_tables`, next to tables of the lens in focus."""
-    blur, optics = plan.find(Blur), plan.camera.optics
+    blur, lens = plan.find(Blur), lens_of(plan.camera)
     return (
         plan.is_draft
         and blur is not None
         and blur.mix.shape[-1] <= BATCH
         and plan.find(Fusion) is not None
-        and optics.psf is None
-        and not optics.is_symmetric
+        and lens.is_adjustable
+        and not lens.symmetry.is_round
     )
 
 
