@@ -6,6 +6,7 @@ radius. The wavefront W(x, y) is in waves, with the sign of Welford (Aberrations
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import comb, factorial
 
 import numpy as np
@@ -175,8 +176,12 @@ class Wavefront:
             azimuth: Direction of the field point from the image centre, from x towards y [rad].
 
         Returns:
-            Coefficients [waves at `reference`], shape (n, n).
+            Coefficients [waves at `reference`], shape (n, n), not to be written to.
         """
+        return _polynomial(self, float(height), float(azimuth))
+
+    def _at(self, height, azimuth):
+        """Coefficients at one field point, computed."""
         zernike = np.array(self.zernike)
         if self.heights:
             zernike = np.array([np.interp(height, self.heights, column) for column in zernike.T])
@@ -194,6 +199,14 @@ class Wavefront:
                 term = noll(j)
                 total[: len(term), : len(term)] += weight * term
         return _turn(total, azimuth) if azimuth else total
+
+
+@lru_cache(maxsize=1024)
+def _polynomial(wavefront, height, azimuth):
+    """Coefficients of a wavefront at one field point, for kernels and their moments."""
+    found = wavefront._at(height, azimuth)
+    found.flags.writeable = False
+    return found
 
 
 def disc_power(k) -> np.ndarray:
@@ -217,8 +230,9 @@ def symmetric(pupil: Pupil, waves) -> bool:
     return pupil.blades == 0 and bool(error < 1e-12 * max(1, size))
 
 
+@lru_cache(maxsize=128)
 def noll(j) -> np.ndarray:
-    """Return the coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j.
+    """Return the coefficients [i, k] of x^i y^k of Noll's Zernike polynomial j, not to be written to.
 
     Its mean square over the unit disc is 1.
     """
@@ -241,6 +255,7 @@ def noll(j) -> np.ndarray:
                 sign = (-1) ** (k // 2)
                 for a, b in zip(*np.nonzero(radial), strict=True):
                     table[a + m - k, b + k] += norm * c * sign * comb(m, k) * radial[a, b]
+    table.flags.writeable = False
     return table
 
 

@@ -22,21 +22,24 @@ from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-import scipy
 
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.interpolation import line_weights, node_weights, spline_weights
 from gpusim.optics.lengths import fft_length
-from gpusim.optics.lens import NODES, Lens, wavelength_nodes
+from gpusim.optics.lens import NODES, Lens, Symmetry, wavelength_nodes
 
 PERIOD = 64  # [pixel] m, the side of the window that the error is measured in, at least
 CONTRAST = 0.3  # RMS over mean of a natural scene within that window: photographs have 0.2 .. 0.4
 PROBES = 48  # places for the comparison of a model with the lens, and
 LEAST_PROBES = 12  # in small frames
 SPACING = 8  # [pixel] between places, at least
-COARSE = (
-    1e-4  # error of the image from which on FEW_NODES wavelengths do: it is 8e-5 for a mild lens
-)
-FEW_NODES = 6
+# error of the image from which on 6 wavelengths do, for kernels at several distances
+COARSE = 1e-4
+FEW = 6  # wavelengths between which kernels are cubic
+COUNTS = (3, 5, FEW, 7, NODES)
+UNEVEN = 1e-5  # of the largest value, by which a symmetric kernel on the axis may err
+ROOM = 1.5  # times the error by the end of kernels that it may be
+TRIED = (1.0, 0.6)  # heights over the corner's at which their error is measured
 SAMPLES = (15, 25)  # of the field, for eigen-kernels: coefficients are cubic between them
 MOST_TERMS = 40
 # error of slopes over that of values, times the distance of places, of a cubic spline at a kink: RMS 3.4 .. 5.2
@@ -223,7 +226,8 @@ def overlap_add(
     through = kernels.reshape(*grid, -1)
     for axis, one in enumerate(axes):
         first = np.moveaxis(through, axis, 0)
-        solved = np.linalg.solve(one.collocation, first.reshape(len(first), -1))
+        # a product with the inverse takes a quarter of the time of so many right-hand sides
+        solved = np.linalg.inv(one.collocation) @ first.reshape(len(first), -1)
         through = np.moveaxis(solved.reshape(first.shape), 0, axis)
     kernels = through.reshape(kernels.shape)
     along_y, along_x = (one.at(np.arange(size))[1] for one, size in zip(axes, shape, strict=True))
@@ -292,28 +296,36 @@ class _Window:
         elif self.degree == 3:  # "not a knot": the first and last two cells are one
             inner = self.nodes[2:-2]
         self.knots = np.array([self.nodes[0], *inner, self.nodes[-1]])
-        self.collocation = self._basis(self.nodes)
+        self.collocation = self._dense(*self._basis(self.nodes))
 
     def _basis(self, at):
-        """B-splines of the knots at places, (places, splines)."""
-        knots = np.pad(self.knots, self.degree, mode="edge")
-        return scipy.interpolate.BSpline.design_matrix(at, knots, self.degree).toarray()
+        """Cell of each place, and the values of its degree + 1 B-splines, by de Boor's recurrence."""
+        cell = np.clip(np.searchsorted(self.knots, at, side="right") - 1, 0, len(self.knots) - 2)
+        knots, values = np.pad(self.knots, self.degree, mode="edge"), np.ones((len(at), 1))
+        for degree in range(1, self.degree + 1):
+            own = cell[:, None] + self.degree + np.arange(degree)
+            left, right = knots[own + 1 - degree], knots[own + 1]
+            share = values / (right - left)
+            values = np.pad((right - at[:, None]) * share, ((0, 0), (0, 1)))
+            values[:, 1:] += (at[:, None] - left) * share
+        return cell, values
 
     def at(self, pixels):
         """Cell of each pixel, and the weights of its degree + 1 kernels, which sum to one."""
+        if not self.cosine:
+            return self._basis(np.clip(np.float64(pixels), self.knots[0], self.knots[-1]))
         cell = np.searchsorted(self.knots, pixels, side="right") - 1
         cell = np.clip(cell, 0, len(self.knots) - 2)
-        if self.cosine:
-            place = np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)
-            part = np.sin(np.pi / 2 * place) ** 2
-            return cell, np.stack([1 - part, part], axis=1)
-        basis = self._basis(np.clip(pixels, self.knots[0], self.knots[-1]).astype(np.float64))
-        return cell, np.take_along_axis(basis, cell[:, None] + np.arange(self.degree + 1), axis=1)
+        place = np.clip((pixels - self.knots[cell]) / np.diff(self.knots)[cell], 0, 1)
+        part = np.sin(np.pi / 2 * place) ** 2
+        return cell, np.stack([1 - part, part], axis=1)
 
     def dense(self, pixels):
         """Weights of all kernels at each pixel, shape (pixels, count)."""
-        cell, weights = self.at(pixels)
-        out = np.zeros((len(pixels), len(self.nodes)))
+        return self._dense(*self.at(pixels))
+
+    def _dense(self, cell, weights):
+        out = np.zeros((len(cell), len(self.nodes)))
         np.put_along_axis(out, cell[:, None] + np.arange(weights.shape[1]), weights, axis=1)
         return out
 
@@ -362,11 +374,10 @@ def eigen_kernels(
     probes, wanted = _truth(lens, shape, truth)
     at_probes = interpolate(nodes, vectors, probes[:, 0], probes[:, 1], grid=False)
     # U (U^T D): sums of differences, so their sums are zero
-    basis = np.einsum("nk,npij->kpij", vectors, differences)
+    basis = np.tensordot(vectors, differences, (0, 0))
 
     def made(count):
-        rest = np.einsum("kn,kpij->npij", at_probes[: count - 1], basis[: count - 1])
-        return mean + rest
+        return mean + np.tensordot(at_probes[: count - 1], basis[: count - 1], (0, 0))
 
     def error(count):
         return image_error(made(count), wanted, groups)
@@ -397,7 +408,7 @@ def eigen_kernels(
     left = np.maximum(np.diag(squares) - own**2 @ variances[: terms - 1], 0)
     node, at_nodes = int(np.argmax(left)), np.sqrt(left.mean() / len(mean))
     is_rough = error(terms)[0] > ROUGH * error_scale(mean.shape[-1]) * at_nodes
-    rest = np.einsum("k,kpij->pij", own[node], basis[: terms - 1])
+    rest = np.tensordot(own[node], basis[: terms - 1], 1)
     worst = _worst(np.concatenate([[rest - differences[node]], made(terms) - wanted]))
     reach = mean.shape[-1] // 2
     edges = tuple(np.array([-reach, size + reach]) for size in shape)
@@ -608,20 +619,18 @@ def spread_places(shape, count: int) -> np.ndarray:
 def interpolate(nodes, vectors, rows, cols, grid=True):
     """Columns of `vectors`, given at the nodes, as bicubic functions of place: shape (columns, ...)."""
     counts = len(nodes[0]), len(nodes[1])
-    shape = (len(rows), len(cols)) if grid else (len(rows),)
-    degrees = min(3, counts[0] - 1), min(3, counts[1] - 1)
-    out = np.empty((vectors.shape[1], *shape))
-    for k, values in enumerate(vectors.T):
-        if max(counts) == 1:
-            out[k] = values[0]
-        elif min(counts) == 1:
-            out[k] = np.interp(cols if counts[0] == 1 else rows, max(nodes, key=len), values)
-        else:
-            spline = scipy.interpolate.RectBivariateSpline(
-                *nodes, values.reshape(counts), kx=degrees[0], ky=degrees[1]
-            )
-            out[k] = spline(rows, cols, grid=grid)
-    return out
+    weights = line_weights if min(counts) == 1 else cubic_weights
+    down, across = (
+        weights(axis, np.asarray(at, np.float64)) if len(axis) > 1 else np.ones((len(at), 1))
+        for axis, at in zip(nodes, (rows, cols), strict=True)
+    )
+    lines = down @ vectors.T.reshape(-1, *counts)
+    return lines @ across.T if grid else (lines * across).sum(axis=2)
+
+
+def cubic_weights(nodes: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Return weights (M, L) of values at L nodes at M points, of a cubic spline; up to 4 nodes, of their polynomial."""
+    return (spline_weights if len(nodes) > 4 else node_weights)(nodes, at)
 
 
 def _cost(edges, reach, terms):
@@ -633,7 +642,7 @@ def _cost(edges, reach, terms):
 
 def choose_nodes(wavelengths, error: float) -> tuple[np.ndarray, np.ndarray]:
     """Return nodes for an error of natural scenes, and the interpolation matrix: see `wavelength_nodes`."""
-    return wavelength_nodes(wavelengths, FEW_NODES if error > COARSE else NODES)
+    return wavelength_nodes(wavelengths, FEW if error > COARSE else NODES)
 
 
 class Differences:
@@ -666,11 +675,25 @@ class Differences:
         self.lens, self.shape, self.corner = lens, shape, corner
         self.distances, self.reference = tuple(distances), reference
         self.middle = (np.array(shape) - 1) / 2 + lens.axis
-        self.nodes, between = choose_nodes(wavelengths, error)
-        self.mix = mix @ between
+        self.nodes, _ = wavelength_nodes(wavelengths)
         sizes, self._cut = zip(*(self._enough(error, one) for one in self.distances), strict=True)
-        self.size = max(sizes)
+        self.size, self._waves_between = max(sizes), 0.0
+        count = FEW if error > COARSE else NODES
+        if len(self.distances) == 1:
+            count, self._waves_between = self._enough_wavelengths(wavelengths, mix, error)
+        self.nodes, between = wavelength_nodes(wavelengths, count)
+        self.mix = mix @ between
         self._axis = self.lens.kernels(self.nodes, (0.0, 0.0), self.size, reference)
+        self._axis_moments = None  # of a lens whose kernels hold all light they do not count
+        if self.lens.tail is not None:
+            self._axis_moments = self.lens.moments(self.nodes, (0.0, 0.0), reference, self.size)
+        # a constant Zernike term turns with the place, and has no symmetry on the axis
+        self._symmetry, turned = self.lens.symmetry, [(1, -1), (-1, 1)]
+        if not self._symmetry.is_mirrored:
+            turned = [(-1, -1)]
+        rest = max(np.abs(self._axis - self._axis[:, ::y, ::x]).max() for y, x in turned)
+        if rest > UNEVEN * np.abs(self._axis).max():
+            self._symmetry = Symmetry(False, False)
         self._known: dict = {}
 
     def __call__(self, places) -> np.ndarray:
@@ -678,14 +701,14 @@ class Differences:
         planes = len(self.mix) * len(self.distances)
         kernels = np.empty((len(places), planes, self.size, self.size))
         places = (np.asarray(places, np.float64) - self.middle) / self.corner
-        # of a lens with mirror symmetry the other quadrants are mirror images
-        own = np.round(np.abs(places) if self.lens.symmetry.is_mirrored else places, 9) + 0.0
+        # other quadrants are mirror images, or places on the other side of the axis are turned by half a turn
+        flips = _flips(places, self._symmetry)
+        own = np.round(places * flips, 9) + 0.0
         new = {place: None for place in map(tuple, own.tolist()) if place not in self._known}
         with ThreadPoolExecutor(os.cpu_count()) as pool:
             self._known.update(zip(new, pool.map(self._at, new), strict=True))
-        for kernel, place, (y, x) in zip(kernels, map(tuple, own.tolist()), places, strict=True):
-            down, across = -1 if y < 0 < place[0] else 1, -1 if x < 0 < place[1] else 1
-            kernel[:] = self._known[place][:, ::down, ::across]
+        for kernel, place, (down, across) in zip(kernels, own.tolist(), flips, strict=True):
+            kernel[:] = self._known[tuple(place)][:, ::down, ::across]
         return kernels
 
     def _at(self, place):
@@ -698,7 +721,10 @@ class Differences:
         return np.concatenate(found)
 
     def end_error(self) -> float:
-        """Return the relative RMS error of a natural image by the end of the kernels, at the farthest corner."""
+        """Return the relative RMS error of a natural image by the end of the kernels, at the farthest corner.
+
+        It includes the error between wavelengths.
+        """
         corner = farthest_corner(self.shape, self.middle) / self.corner
         slopes = []
         for distance in self.distances:
@@ -706,19 +732,45 @@ class Differences:
             slope = self._slope(_with_zero_sum(kernels - self._axis), corner, distance)
             slopes.append(np.tensordot(self.mix, np.broadcast_to(slope, kernels.shape), 1))
         every = np.concatenate(slopes)[None]
-        return float(np.hypot(max(self._cut), image_error(every, np.zeros_like(every))[0]))
+        own = np.hypot(max(self._cut), image_error(every, np.zeros_like(every))[0])
+        return float(np.hypot(own, self._waves_between))
 
     def _slope(self, differences, place, distance):
         """Light that moves beyond differences, as a slope that gives them the first moments of all the light."""
         if self.lens.tail is None:
             return np.zeros((1, 1))  # the kernels hold all light
-        axis = self.lens.moments(self.nodes, (0.0, 0.0), self.reference)
-        wanted = self.lens.moments(self.nodes, place, distance) - axis
+        wanted = self.lens.moments(self.nodes, place, distance, self.size) - self._axis_moments
         at = np.arange(self.size) - self.size // 2
         moments = [differences.sum(axis=2) @ at, differences.sum(axis=1) @ at]
         left = wanted - np.stack(moments, axis=1)
         y, x = left.T[..., None, None] / (self.size * (at @ at))
         return y * at[:, None] + x * at
+
+    def _enough_wavelengths(self, wavelengths, mix, error):
+        """Count of wavelengths between which kernels of the planes err less than ROOM * `error`, and their error.
+
+        It is measured at the farthest corner and between there and the axis. The last of COUNTS is the truth, and errs
+        a tenth of the one before.
+        """
+        corner = farthest_corner(self.shape, self.middle) / self.corner
+
+        def planes_at(count):
+            nodes, between = wavelength_nodes(wavelengths, count)
+            axis = self.lens.kernels(nodes, (0.0, 0.0), self.size, self.reference)
+            places = (tuple((part * corner).tolist()) for part in TRIED)
+            kernels = (
+                self.lens.kernels(nodes, one, self.size, self.distances[0]) for one in places
+            )
+            return np.stack(
+                [np.tensordot(mix @ between, _with_zero_sum(one - axis), 1) for one in kernels]
+            )
+
+        truth = planes_at(COUNTS[-1])
+        for count in COUNTS[:-1]:
+            wrong = image_error(planes_at(count), truth)[1]
+            if wrong <= ROOM * error:
+                return count, wrong
+        return COUNTS[-1], 0.0
 
     def _enough(self, error, distance):
         """Size of kernels beyond which the differences at the corners err less than `error`, and their error."""
@@ -748,6 +800,17 @@ class Differences:
             f"kernels at the frame's corner wider than {WIDER[-1][-1]} pixels",
             "narrower ones; or a coarser pixel",
         )
+
+
+def _flips(places, symmetry) -> np.ndarray:
+    """Return the signs along rows and columns that move places to the ones whose kernels are computed, int (n, 2)."""
+    signs = np.where(places < -1e-9, -1, 1)
+    if symmetry.is_mirrored:
+        return signs
+    if not symmetry.is_opposite:
+        return np.ones_like(signs)
+    first = np.where(np.abs(places[:, 0]) > 1e-9, signs[:, 0], signs[:, 1])
+    return np.repeat(first[:, None], 2, axis=1)
 
 
 def farthest_corner(shape, axis) -> np.ndarray:

@@ -19,6 +19,7 @@ from gpusim.optics.coarse import LARGE, WIDER, split_error
 from gpusim.optics.field import (
     Differences,
     choose_nodes,
+    cubic_weights,
     error_scale,
     image_error,
     moments_of,
@@ -403,8 +404,7 @@ def _spline_weights(axis, at):
     """Return weights of values at nodes in their interpolating spline, cubic if there are 4, (points, nodes)."""
     if len(axis) == 1:
         return np.ones((len(at), 1))
-    spline = scipy.interpolate.make_interp_spline(axis, np.eye(len(axis)), min(3, len(axis) - 1))
-    return spline(at)
+    return cubic_weights(axis, np.asarray(at, np.float64))
 
 
 def _tiles(shape, m, largest):

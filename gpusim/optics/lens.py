@@ -34,6 +34,7 @@ from gpusim.optics.sampled import (
     moment_of_pixels,
     sampled_kernel,
     sampled_transfer,
+    stored_difference_kernels,
     window,
 )
 from gpusim.optics.series import points_at
@@ -51,10 +52,12 @@ class Symmetry:
     Attributes:
         is_round: On the axis the blur is the same at every angle.
         is_mirrored: The blur at a field point is the mirror image of the blur on the other side of the axis.
+        is_opposite: The blur at a field point, turned by half a turn, is the blur at the opposite point.
     """
 
     is_round: bool
     is_mirrored: bool
+    is_opposite: bool = False
 
 
 @dataclass(frozen=True)
@@ -187,10 +190,18 @@ class Lens(Protocol):
     def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
         """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
 
-    def moments(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
+    def moments(
+        self, wavelengths, place, distance: float | None = None, size: int = 1
+    ) -> np.ndarray:
         """Return the first moments of the energies of all pixels around a point's ideal image, (L, 2) [sample].
 
         They are the centroid, unless pixels are coarser than the light's finest waves.
+
+        Args:
+            wavelengths: [nm], shape (L,).
+            place: Field point (y, x).
+            distance: Distance of the object [m]; None: the plane in focus.
+            size: Side of `kernels` that are also computed [sample]: both then share their work.
         """
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance: float | None = None):
@@ -219,6 +230,12 @@ class Lens(Protocol):
         Returns:
             Real quarters (L, rows // 2 + 1, cols // 2 + 1) if the blur is round and the apertures are not displaced,
             else halves (L, rows, 2 (cols // 2 + 1)) as `optics.blur` takes them.
+        """
+
+    def table_parts(self, q, rows: int, cols: int, stages: Stages) -> tuple | None:
+        """Return tables of the lens in focus, and kernels that hold the rest, if `tables` are sums of these.
+
+        Else None. The kernels are float32 (L, n, n), n odd.
         """
 
     def table_error(self, wavelengths, distance: float | None = None) -> float:
@@ -296,7 +313,7 @@ class _OnGrid:
         """See `Lens`."""
         raise NotImplementedError
 
-    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+    def moments(self, wavelengths, place, distance=None, size=1) -> np.ndarray:
         """See `Lens`."""
         return self.centroids(wavelengths, place, distance)
 
@@ -313,6 +330,10 @@ class _OnGrid:
     def tails(self, wavelengths) -> np.ndarray:
         """See `Lens`."""
         return np.zeros((len(wavelengths), len(farfield.POWERS)))
+
+    def table_parts(self, q, rows, cols, stages) -> tuple | None:
+        """See `Lens`."""
+        return None
 
     def table_error(self, wavelengths, distance=None) -> float:
         """See `Lens`."""
@@ -377,8 +398,9 @@ class PupilLens(_OnGrid):
     @cached_property
     def symmetry(self) -> Symmetry:
         """See `Lens`."""
-        is_mirrored = self.optics.has_mirror and not any(self.displacement)
-        return Symmetry(self.optics.is_symmetric, is_mirrored)
+        is_centred, sides = not any(self.displacement), len(self.optics.pupil.sides)
+        is_mirrored = self.optics.has_mirror and is_centred
+        return Symmetry(self.optics.is_symmetric, is_mirrored, is_centred and sides % 2 == 0)
 
     @cached_property
     def tail(self) -> Tail:
@@ -422,25 +444,34 @@ class PupilLens(_OnGrid):
             return self._ray_tables(waves, q, rows, cols, stages)
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
-        optics, images = self.optics, tuple(2 * spot for spot in self.spots)
-        soft, settings = optics.diffuser / self.pitch, (self.aperture, rows, cols)
+        optics = self.optics
         if not is_too_costly(optics.pupil, waves, stages.affordable):
-            return stages.pupil(optics.pupil, waves, q, *settings, images, soft, self.displacement)
-        flat = np.zeros((len(q), 1, 1))
-        focus = stages.pupil(optics.pupil, flat, q, *settings, images, soft, self.displacement)
-        other = difference_tables(
-            optics.pupil,
-            waves,
-            q,
-            rows,
-            cols,
-            self.aperture,
-            self.spots,
-            soft,
-            tuple(-np.array(self.displacement)),
-        )
+            return self._pupil_tables(waves, q, rows, cols, stages)
+        focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
+        first, *settings = self._sampled(waves, q)
+        other = difference_tables(*first, rows, cols, *settings)
         is_round = symmetric(optics.pupil, waves) and not any(self.displacement)
         return stages.add(focus, other, is_round)
+
+    def table_parts(self, q, rows, cols, stages) -> tuple | None:
+        """See `Lens`."""
+        waves = self.waves(self.nanometres(q))
+        if self._by_rays(waves) or not is_too_costly(self.optics.pupil, waves, stages.affordable):
+            return None
+        focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
+        first, *settings = self._sampled(waves, q)
+        return focus, stored_difference_kernels(*first, *settings)
+
+    def _sampled(self, waves, q):
+        """Arguments of `difference_tables`: pupil, waves and q together, and those after the period."""
+        soft, shift = self.optics.diffuser / self.pitch, tuple(-np.array(self.displacement))
+        return (self.optics.pupil, waves, q), self.aperture, self.spots, soft, shift
+
+    def _pupil_tables(self, waves, q, rows, cols, stages):
+        """Tables of integrals over the pupil."""
+        images, soft = tuple(2 * spot for spot in self.spots), self.optics.diffuser / self.pitch
+        settings = self.aperture, rows, cols, images, soft, self.displacement
+        return stages.pupil(self.optics.pupil, waves, q, *settings)
 
     def _ray_tables(self, waves, q, rows, cols, stages):
         """Tables of rays, see `gpusim.optics.geometric`."""
@@ -534,7 +565,7 @@ class PupilLens(_OnGrid):
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
-    def moments(self, wavelengths, place, distance=None) -> np.ndarray:
+    def moments(self, wavelengths, place, distance=None, size=1) -> np.ndarray:
         """See `Lens`."""
         q, light = self.q(wavelengths), self.centroids(wavelengths, place, distance)
         if q.min() >= 1:
@@ -546,15 +577,16 @@ class PupilLens(_OnGrid):
             return _first_moments(self.kernels(wavelengths, place, size, distance))
         pupil, soft = self.optics.pupil, self.optics.diffuser / self.pitch
         waves = self.waves(wavelengths, *_polar(place), distance=distance)
-        return _moments(pupil, waves, q, shifts, tuple(self.aperture), self.spots, soft, light)
+        settings = tuple(self.aperture), self.spots, soft
+        return _moments(pupil, waves, q, shifts, *settings, light, size)
 
 
 @stored
-def _moments(pupil, waves, q, shifts, aperture, spots, soft, centroids):
+def _moments(pupil, waves, q, shifts, aperture, spots, soft, centroids, size):
     """First moments of all pixels' energies (L, 2): see `gpusim.optics.sampled.moment_of_pixels`."""
     return np.array(
         [
-            moment_of_pixels(pupil, wave, float(one), shift, aperture, spots, soft, centroid)
+            moment_of_pixels(pupil, wave, float(one), shift, aperture, spots, soft, centroid, size)
             for wave, one, shift, centroid in zip(waves, q, shifts, centroids, strict=True)
         ]
     )

@@ -27,6 +27,7 @@ from scipy.special import roots_legendre
 
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.stored import stored
+from gpusim.optics.blas import one_core
 from gpusim.optics.farfield import edge_tail
 from gpusim.optics.memo import multiply, remember
 from gpusim.optics.otf import FAST, transfer
@@ -41,8 +42,9 @@ ERROR = 1e-3  # of transfer functions, by light that leaves the window
 NEAR = 12.0  # [X] of the window beyond the rays
 FLAT = 0.75  # part of the window up to which differences count in full
 STEP = 0.25  # of the samples of the irradiance, in X
-FINE = 5.0  # samples of a row in a cycle of the fastest phase
+FINE = 4.0  # samples of a row in a cycle of the fastest phase: sums err by 1e-6, with 3 by 2e-5
 PIECE = 1024  # frequencies at a time
+PAIRED = 1e-12  # by which rows on both sides of the middle may differ
 NODES = 4  # of the Gauss nodes of half a panel where nothing turns
 PER_CYCLE = 1.5  # of them for every cycle of the phase from one end of the panel to the other
 
@@ -175,20 +177,31 @@ def _irradiance(pupil, half, shape, values):
     even = len(pupil.sides) % 2 == 0 and not _odd(wave).any()
     v, u, weights, cos_u, sin_u, cos_v, sin_v = _grid(pupil, half, cycles, even)
     powers = np.arange(len(wave))
-    path = multiply(v[:, None] ** powers, wave.T @ u ** powers[:, None])
-    path -= np.rint(path)
-    phase = path.astype(np.float32)
-    phase *= np.float32(2 * np.pi)
     # sums with cosines and sines over u, then over v, for X and Y >= 0; signs make the other quadrants
     by_cos, by_sin = np.empty((2, len(v), 2 * (half + 1)), np.float32)
     middle = len(u) // 2
-    for part, turn in zip((slice(half + 1), slice(half + 1, None)), (np.cos, np.sin), strict=True):
-        values = turn(phase)
-        values *= weights
-        right, left = values[:, middle:], values[:, middle - 1 :: -1]
-        by_cos[:, part] = multiply(right + left, cos_u)
-        by_sin[:, part] = multiply(right - left, sin_u)
-    straight, crossed = multiply(cos_v, by_cos), multiply(sin_v, by_sin)
+    with one_core():
+        path = v[:, None] ** powers @ (wave.T @ u ** powers[:, None])
+        path -= np.rint(path)
+        phase = path.astype(np.float32)
+        phase *= np.float32(2 * np.pi)
+        parts = slice(half + 1), slice(half + 1, None)
+        for part, turn in zip(parts, (np.cos, np.sin), strict=True):
+            values = turn(phase)
+            values *= weights
+            right, left = values[:, middle:], values[:, middle - 1 :: -1]
+            by_cos[:, part] = (right + left) @ cos_u
+            by_sin[:, part] = (right - left) @ sin_u
+        if (upper := cos_v.shape[1]) < len(v):  # rows v, then rows -v
+            up_cos, down_cos, up_sin, down_sin = (
+                part for by in (by_cos, by_sin) for part in (by[:upper], by[upper:])
+            )
+            straight, crossed = cos_v @ (up_cos + down_cos), sin_v @ (up_sin - down_sin)
+            along, across = cos_v @ (up_sin + down_sin), sin_v @ (up_cos - down_cos)
+        else:
+            straight, crossed = cos_v @ by_cos, sin_v @ by_sin
+            if not even:
+                along, across = cos_v @ by_sin, sin_v @ by_cos
     minus, plus = straight - crossed, straight + crossed
     energy = np.empty((2 * half + 1,) * 2, np.float32)
     below, above = slice(half, None), slice(half, None, -1)
@@ -196,7 +209,7 @@ def _irradiance(pupil, half, shape, values):
         energy[below, below] = energy[above, above] = _squares(minus)
         energy[below, above] = energy[above, below] = _squares(plus)
     else:
-        along, across = _turn(multiply(cos_v, by_sin)), _turn(multiply(sin_v, by_cos))
+        along, across = _turn(along), _turn(across)
         both, rest = along + across, along - across
         energy[below, below], energy[above, above] = _squares(minus + both), _squares(minus - both)
         energy[below, above], energy[above, below] = _squares(plus - rest), _squares(plus + rest)
@@ -208,16 +221,25 @@ def _irradiance(pupil, half, shape, values):
 def _grid(pupil, half, cycles, upper):
     """Rows v, their even samples u, the samples' weights, and cosines and sines of all X >= 0 at u > 0 and at v.
 
-    upper: only rows v > 0: rows -v are the rows v from right to left.
+    upper: only rows v > 0: rows -v are the rows v from right to left. Else, if each row v has a row -v, rows v > 0 come
+    first, then rows -v in the same order, and cosines and sines at v are of the first.
     """
     count = 2 * int(np.ceil(FINE * cycles)) + ORDER
     diagonal = cycles + (np.sqrt(2) - 1) * half * STEP
     v, weights = rows_of(pupil, cycles, count, diagonal)
+    some = v
     if upper:
         v, weights = v[v > 0], weights[v > 0]
+        some = v
+    else:
+        above, below = np.flatnonzero(v > 0), np.flatnonzero(v < 0)
+        above, below = above[np.argsort(v[above])], below[np.argsort(-v[below])]
+        if len(above) == len(below) and np.abs(v[above] + v[below]).max() < PAIRED:
+            order, some = np.concatenate([above, below]), v[above]
+            v, weights = v[order], weights[order]
     _, u = _places(count)
     x = 2 * np.pi * STEP * np.arange(half + 1)
-    along, across = np.outer(u[count // 2 :], x), np.outer(x, v)
+    along, across = np.outer(u[count // 2 :], x), np.outer(x, some)
     waves = (
         turn(phase).astype(np.float32) for phase in (along, across) for turn in (np.cos, np.sin)
     )
@@ -227,7 +249,10 @@ def _grid(pupil, half, cycles, upper):
 def _turn(pair):
     """Complex numbers times i, of pairs of parts that stand side by side."""
     half = pair.shape[1] // 2
-    return np.hstack([-pair[:, half:], pair[:, :half]])
+    out = np.empty_like(pair)
+    np.negative(pair[:, half:], out=out[:, :half])
+    out[:, half:] = pair[:, :half]
+    return out
 
 
 def _squares(pair):
@@ -319,8 +344,7 @@ def sampled_kernel(
         spots: Distances of a low-pass filter's spots from their middle, (rows, cols) [pixel].
         soft: Standard deviation of a diffuser [pixel].
     """
-    reach = size / 2 + max(map(abs, shift)) + MARGIN
-    half = int(np.ceil(reach / (2 * q * STEP))) + MORE
+    half = _half_of(size, q, shift)
     energy, axes = irradiance(pupil, wave, half), _axes(q, shift, aperture, spots, soft)
     down, across = (pixel_shares(size, half, *axis) for axis in axes)
     whole = 1.0
@@ -330,8 +354,14 @@ def sampled_kernel(
     return multiply(down, multiply(energy, across.T)) / whole
 
 
+def _half_of(size, q, shift) -> int:
+    """Return `half` of the irradiance that a kernel's pixels share."""
+    reach = size / 2 + max(map(abs, shift)) + MARGIN
+    return int(np.ceil(reach / (2 * q * STEP))) + MORE
+
+
 def moment_of_pixels(
-    pupil: Pupil, wave, q, shift, aperture, spots, soft: float, centroid
+    pupil: Pupil, wave, q, shift, aperture, spots, soft: float, centroid, size: int = 1
 ) -> np.ndarray:
     """Return the first moment of all pixels' energies around a point, (rows, cols) [pixel].
 
@@ -347,12 +377,15 @@ def moment_of_pixels(
         spots: See `sampled_kernel`.
         soft: See `sampled_kernel`.
         centroid: Of the light, with the displacement, (rows, cols) [pixel].
+        size: Side of the kernel that is also computed [pixel]: both are of the same samples.
     """
     if q >= 1:
         return np.asarray(centroid)
     reach = 2 * q * steepest_slope(wave) + max(spots) + 3 * soft + NEAR_PIXELS
     half = int(np.ceil(reach / (2 * q * STEP)))
-    energy = irradiance(pupil, wave, half).astype(np.float64)
+    wide = max(half, _half_of(size, q, shift))
+    part = slice(wide - half, wide + half + 1)
+    energy = irradiance(pupil, wave, wide)[part, part].astype(np.float64)
     place = np.arange(-half, half + 1) * (2 * q * STEP)
     axes = _axes(q, shift, aperture, spots, soft)
     (all_down, more_down), (all_across, more_across) = (
@@ -419,6 +452,37 @@ def _difference(pupil, wave, half, focus, fading):
     return left - fading * np.float32(left.sum(dtype=np.float64) / fading.sum(dtype=np.float64))
 
 
+def difference_kernels(pupil: Pupil, waves, q, aperture, spots, soft, shift) -> np.ndarray:
+    """Return kernels of wavefronts less the kernel in focus, of sum 0, float32 (bands, size, size).
+
+    Arguments as of `difference_tables`.
+    """
+    half, _ = window(pupil, waves)
+    sizes = _sizes_of(q, half)
+    focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
+    out = np.zeros((len(waves), max(sizes), max(sizes)), np.float32)
+
+    def make(band):
+        left = _difference(pupil, waves[band], half, focus, fading)
+        axes = _axes(q[band], shift, aperture, spots, soft)
+        down, across = (pixel_shares(sizes[band], half, *axis) for axis in axes)
+        rim = (max(sizes) - sizes[band]) // 2
+        inner = slice(rim, rim + sizes[band])
+        out[band, inner, inner] = multiply(down, multiply(left, across.T))
+
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        list(pool.map(make, range(len(waves))))
+    return out
+
+
+def _sizes_of(q, half):
+    """Sides of the kernels that hold a window of the irradiance [pixel]."""
+    return [2 * int(np.ceil(2 * one * STEP * half + MARGIN)) + 1 for one in q]
+
+
+stored_difference_kernels = stored(difference_kernels)
+
+
 @stored
 def difference_tables(
     pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift
@@ -437,7 +501,7 @@ def difference_tables(
         shift: Displacement of the image, (rows, cols) [pixel].
     """
     half, _ = window(pupil, waves)
-    sizes = [2 * int(np.ceil(2 * one * STEP * half + MARGIN)) + 1 for one in q]
+    sizes = _sizes_of(q, half)
     focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
     out = np.empty((len(waves), rows, cols // 2 + 1), np.complex64)
 

@@ -13,7 +13,7 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.mosaics import bin_mosaic
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.fft import pitch_of, room
-from gpusim.kernels.optics.blur import BATCH
+from gpusim.kernels.optics.blur import BATCH, blur_spectra, transform
 from gpusim.optics.coarse import CoarseGrid
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.farfield import axes, multiplications
@@ -55,7 +55,7 @@ from gpusim.pipeline.light import (
 )
 from gpusim.pipeline.reading import planes, store
 from gpusim.pipeline.step import Chain, Rate, Step, Values
-from gpusim.pipeline.tables import LensTables
+from gpusim.pipeline.tables import LensTables, is_drafted
 from gpusim.planner.choices import Blur, Falloff, Fusion, Planes, Sampling
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
@@ -440,10 +440,17 @@ class _Steps:
         else:
             stage = "optics.blur"
             constants |= {"period": plan.period}
+        inputs, run = [f"{self.prefix}transfer"], None
+        if stage == "optics.blur" and is_drafted(plan):  # planes stay while a lens is turned
+            around = {"border": constants.pop("border"), "period": plan.period}
+            host = BY_SCIPY if self.device.on_host else ""
+            chain.add(stage, around, run=transform, host=host)
+            inputs, run = [planes_, *inputs], blur_drafted
         chain.add(
             stage,
             constants,
-            f"{self.prefix}transfer",
+            *inputs,
+            run=run,
             words=self.words(stage),
             nbytes=self._bytes_of_blur(),
             work=self._work_of_blur(stage, cfa),
@@ -731,6 +738,12 @@ def _plan_per_wavelength(plan: Plan, camera: Camera) -> Plan:
         without=(Planes, Fusion),
         weights=np.diag(scale),
     )
+
+
+def blur_drafted(spectra, planes, tables, mix, period, margin, device):
+    """Return the channels of a draft from the spectra of its planes. tables: one, or a tuple whose sum counts."""
+    tables = tables if isinstance(tables, tuple) else (tables,)
+    return blur_spectra(spectra, tables, mix, planes.shape[1:], period, margin, device)
 
 
 def _border(plan):

@@ -237,6 +237,7 @@ class Loop:
         self._noted: tuple = (None,)  # these
         self._patience = PATIENCE
         self._served: tuple = (None,) * 6  # a plan that is usable, and for which settings
+        self._drafted: tuple = (None,) * 5  # a plan, its camera, scene and camera, and their draft
         self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
@@ -388,15 +389,20 @@ class Loop:
     def _draft(self):
         """Return a draft made from the existing plan; None if it is unsuitable or saves no work."""
         camera, (plan, by) = self.simulator.camera, self.before.plan or (None, None)
+        now = plan, by, self.scene, camera
+        if all(map(is_, now, self._drafted)):
+            return self._drafted[-1]
         if (
             plan is None
             or plan.scene is not self.scene
             or not same(draft_key(by), draft_key(camera))
+            or (lens_of(camera).symmetry.is_round and same(by.optics, camera.optics))
         ):
-            return None
-        if lens_of(camera).symmetry.is_round and same(by.optics, camera.optics):
-            return None
-        return self.before.cache("draft", draft_plan, plan, camera)
+            draft = None
+        else:
+            draft = self.before.cache("draft", draft_plan, plan, camera)
+        self._drafted = *now, draft
+        return draft
 
     def _plan_still_valid(self):
         """Return False and drop the plan if it does not fit.

@@ -14,12 +14,15 @@ from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.domain.pupil import Wavefront
 from gpusim.kernels.optics.airy import airy
+from gpusim.kernels.optics.blur import BATCH
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.lens import lens_of, open_lens, wavelength_nodes
+from gpusim.optics.psf import fastest_turn
 from gpusim.optics.rays import AFFORDABLE
+from gpusim.optics.sampled import difference_kernels
 from gpusim.optics.tables import add_spectra, exact_tables, transfer_tables
 from gpusim.planner.choices import Blur, Fusion
 from gpusim.planner.knobs.farfield import FarField
@@ -27,8 +30,10 @@ from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
 DRAFT_NODES = 5  # wavelengths between which kernels of drafts are cubic
+DRAFT_BANDS = 17  # wavelengths between which tables of drafts are cubic: they err by 5e-4 at most
+MOST_TURN = 4.0  # [waves per radius] of the wavefront up to which they do
+SHORT = 127  # [sample] at least of a draft's kernels that hold all light
 RADII, ANGLES = 65, 129  # of frequencies between which a transfer function in focus is linear
-SHORT = 127  # [sample] at least, less one, of the period of a draft's tables
 
 
 class _OnDevice:
@@ -100,47 +105,29 @@ class LensTables:
         blur, fusion = plan.find(Blur), plan.find(Fusion)
         assert blur is not None  # a plan with blur
         made_of = self._made_of(plan), blur.period, fusion and fusion.transfers
-        if plan.is_draft and (short := self._short(plan)):
-            focus = self._focus(plan)
-            if focus is not None:
-                focus = self._cache(
-                    "drafted in focus", focus_tables, focus, *made_of[1:], self.device
+        if is_drafted(plan):
+            optics, *rest = made_of[0]
+            focus = replace(optics, defocus=0.0, wavefront=Wavefront()), *rest
+            known = None
+            if not self._lens(
+                plan
+            ).tail.lines:  # light far from a point is that of the lens in focus
+                far = plan.find(FarField)
+                known = self._cache(
+                    "drafted in focus", make_tables, focus, *made_of[1:], far, self.device, True
                 )
-            return self._cache("drafted", widen_tables, *made_of, short, focus, self.device)
+            rest = self._cache("drafted", draft_tables, *made_of, known is None, self.device)
+            return rest if known is None else (known, rest)
         # tables of its wavelengths next to tables of a plan
         name = f"transfer {blur.mix.shape}"
-        return self._cache(name, make_tables, *made_of, plan.find(FarField), self.device)
+        is_draft = plan.is_draft and fusion is not None
+        return self._cache(name, make_tables, *made_of, plan.find(FarField), self.device, is_draft)
 
     def _made_of(self, plan) -> tuple:
         """Everything that tables of wavelengths depend on: lens, distance and size of samples, displacement, and q."""
         ratio = plan.scene.samples_per_pixel
         displacement = self.camera.sensor.displacement if ratio == 1 else (0.0, 0.0)
         return self.camera.optics, *self.grid(ratio), displacement, plan.q
-
-    def _short(self, plan):
-        """A short period that holds most of the light of points, if tables of the plan's would be slow; or 0.
-
-        The rest of the light falls as 1 / r^3, is about q / SHORT of all, and ends at other places of the period.
-        If a lens in focus shares it, half of that period does: the difference falls as 1 / r^5.
-        """
-        if (
-            (lens := self._lens(plan)).symmetry.is_round
-            or plan.find(FarField)
-            or plan.find(Fusion) is None
-        ):
-            return 0
-        wide = 4 * lens.spread(plan.scene.wavelengths)
-        least = SHORT if self._focus(plan) is None else SHORT // 2
-        short = 1 << max(least, ceil(wide) - 1).bit_length()
-        return short if 2 * short <= min(plan.period) else 0
-
-    def _focus(self, plan):
-        """What tables of the lens in focus depend on, if its light far from a point is the lens's own; else None."""
-        optics, *rest = self._made_of(plan)
-        tail = self._lens(plan).tail
-        if tail is None or tail.lines or not (optics.defocus or optics.wavefront != Wavefront()):
-            return None
-        return replace(optics, defocus=0.0, wavefront=Wavefront()), *rest
 
     def _lens(self, plan):
         """The lens in front of the samples that are blurred; apertures are displaced from samples that are pixels."""
@@ -232,69 +219,104 @@ def combine_bands(bands, transfers, device) -> Any:
     return device.reshape(tables, (channels, planes, *bands.shape[1:]))
 
 
-def make_tables(made_of, period, transfers, far, device) -> Any:
-    """Return transfer tables of planes, without the Gaussians of the endless world. far: these, or None."""
-    tables = combine_bands(bands_of(made_of, period, device), transfers, device)
+def make_tables(made_of, period, transfers, far, device, is_draft=False) -> Any:
+    """Return transfer tables of planes, without the Gaussians of the endless world.
+
+    far: these, or None. is_draft: whether tables of few wavelengths are interpolated.
+    """
+    own = transfers
+    if is_draft:
+        optics, *settings, q = made_of
+        # q goes with the wavelength; few counts, as kernels are compiled for each
+        shortest = q.min(keepdims=True) * settings[0] / optics.working_f_number * 1e9
+        turn = fastest_turn(optics.waves(shortest, longest=np.inf)[0])
+        nodes, between = wavelength_nodes(q, DRAFT_BANDS if turn < MOST_TURN else len(q))
+        made_of, own = (optics, *settings, nodes), transfers @ between
+    tables = None
+    if own is not None:
+        tables = _sum_of_parts(made_of, period, own, device)
+    if tables is None:
+        tables = combine_bands(bands_of(made_of, period, device), own, device)
     if far is None:
         return tables
     return near(tables, far.energies(transfers), far.sigmas, period, device=device)
 
 
-def focus_tables(made_of, period, transfers, device) -> np.ndarray:
-    """Return transfer tables of planes of a lens in focus, complex halves (groups, planes, rows, cols // 2 + 1)."""
-    tables = device.numpy(combine_bands(bands_of(made_of, period, device), transfers, device))
-    rows, cols = period
-    if tables.shape[-1] > cols // 2 + 1:  # halves, real and imaginary parts side by side
-        return np.ascontiguousarray(tables).view(np.complex64)
-    at = np.minimum(np.arange(rows), rows - np.arange(rows))
-    return tables[..., at, :].astype(np.complex64)
+def _sum_of_parts(made_of, period, transfers, device) -> Any:
+    """Return tables of planes from kernels of planes in place of many wavelengths; None if the lens has none."""
+    optics, pitch, aperture, displacement, q = made_of
+    lens = open_lens(optics, pitch, aperture, displacement=displacement)
+    parts = lens.table_parts(q, *period, _OnDevice(device))
+    if parts is None or parts[1].shape[-1] > min(period):
+        return None
+    focus = device.numpy(combine_bands(parts[0], transfers, device))
+    rest = _spectra_of_kernels(np.tensordot(np.float32(transfers), parts[1], 1), period, device)
+    whole = device.numpy(rest).view(np.complex64)
+    high = period[0] // 2 + 1
+    if focus.shape == rest.shape:
+        whole += focus.view(np.complex64)
+    elif lens.symmetry.is_round and not any(displacement):
+        return device.array(focus + whole[..., :high, :].real)
+    else:
+        whole.real[..., :high, :] += focus
+        whole.real[..., high:, :] += focus[..., period[0] - high : 0 : -1, :]
+    return device.array(whole.view(np.float32))
 
 
-def widen_tables(made_of, period, transfers, short, focus, device) -> Any:
-    """Return tables of a period from kernels of a short period and few wavelengths, padded with zeros.
+def is_drafted(plan: Plan) -> bool:
+    """Return whether the tables of a plan are made by `draft_tables`, next to tables of the lens in focus."""
+    blur, lens = plan.find(Blur), lens_of(plan.camera)
+    return (
+        plan.is_draft
+        and blur is not None
+        and blur.mix.shape[-1] <= BATCH
+        and plan.find(Fusion) is not None
+        and lens.is_adjustable
+        and not lens.symmetry.is_round
+    )
 
-    focus: tables of the lens in focus, to which kernels add their difference; None: they hold all light.
+
+def draft_tables(made_of, period, transfers, is_whole, device) -> Any:
+    """Return transfer tables of planes from kernels of few wavelengths, halves: see `LensTables.transfer`.
+
+    is_whole: whether kernels hold all light of a point; else they are differences from the lens in focus.
     """
-    rows, cols = period
     *settings, q = made_of
     optics, pitch, aperture, displacement = settings
     lens = open_lens(optics, pitch, aperture, displacement=displacement)
     nodes, between = wavelength_nodes(q, DRAFT_NODES)  # q goes with the wavelength
-    size = short - 1
     wavelengths = nodes * pitch / optics.working_f_number * 1e9
-
-    def kernels_of(lens):
-        return pool.map(lambda each: lens.kernels([each], (0.0, 0.0), size)[0], wavelengths)
-
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        bands = np.stack(list(kernels_of(lens)))
-        if focus is not None:
-            in_focus = replace(optics, defocus=0.0, wavefront=Wavefront())
-            still = open_lens(in_focus, pitch, aperture, displacement=displacement)
-            bands -= np.stack(list(kernels_of(still)))
     flat = np.ones(len(nodes))
     if min(lens.aperture) < 1:
         flat = exact_tables(lens, nodes, 1, 1)[:, 0, 0]
-    if focus is None:
+    if is_whole:
+        size = min(max(SHORT, 4 * ceil(lens.spread(wavelengths)) + 1), min(period) - 1) | 1
+        with ThreadPoolExecutor(os.cpu_count()) as pool:
+            made = pool.map(lambda one: lens.kernels([one], (0.0, 0.0), size)[0], wavelengths)
+            bands = np.stack(list(made))
         bands *= (flat / bands.sum(axis=(1, 2)))[:, None, None]
     else:
-        bands -= bands.mean(axis=(1, 2), keepdims=True)
-        bands *= flat[:, None, None]
-    kernels = np.tensordot(transfers @ between, bands, 1).astype(np.float32)
-    # the middle comes first
-    at = (np.arange(short) + size // 2) % short
-    kernels = np.pad(kernels, ((0, 0), (0, 0), (0, 1), (0, 1)))[..., at[:, None], at]
-    middle = short // 2
-    wide = np.zeros((*kernels.shape[:-1], cols), np.float32)
-    wide[..., :middle], wide[..., -middle:] = kernels[..., :middle], kernels[..., middle:]
-    along = scipy.fft.rfft(wide, workers=-1)
-    tables = np.zeros((*along.shape[:-2], rows, along.shape[-1]), np.complex64)
-    tables[..., :middle, :] = along[..., :middle, :]
-    tables[..., -middle:, :] = along[..., middle:, :]
-    tables = scipy.fft.fft(tables, axis=-2, overwrite_x=True, workers=-1)
-    if focus is not None:
-        tables += focus
-    return device.array(tables.view(np.float32))
+        soft, move = optics.diffuser / pitch, tuple(-np.array(displacement))
+        settings = lens.aperture, lens.spots, soft, move
+        bands = difference_kernels(optics.pupil, lens.waves(wavelengths), nodes, *settings)
+        bands *= np.float32(flat)[:, None, None]
+    kernels = np.tensordot(np.float32(transfers @ between), np.float32(bands), 1)
+    return _spectra_of_kernels(kernels, period, device)
+
+
+def _spectra_of_kernels(kernels, period, device):
+    """Return half tables (groups, planes, ...) of kernels (groups, planes, n, n), their middle at sample 0."""
+    (rows, cols), size = period, kernels.shape[-1]
+    at = np.arange(size) - size // 2
+    lines, half = np.zeros((*kernels.shape[:-1], cols), np.float32), cols // 2 + 1
+    lines[..., at % cols] = kernels
+    tables = device.empty((*kernels.shape[:2], rows, 2 * half))
+    with device.host_work():
+        whole = device.numpy(tables).view(np.complex64)
+        whole[:] = 0
+        whole[..., at % rows, :] = scipy.fft.rfft(lines, workers=-1)
+        whole = scipy.fft.fft(whole, axis=-2, overwrite_x=True, workers=-1)
+    return device.array(whole.view(np.float32))
 
 
 def tables_at_distance(made_of, period, transfers, distance, white, flat, device) -> tuple:

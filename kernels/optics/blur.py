@@ -59,25 +59,67 @@ def blur(
     count, rows, cols = planes.shape
     planes, tables = device.array(planes), device.array(tables)
     mix = np.asarray(device.numpy(mix), np.float32)  # cut into batches on the host
-    channels = len(mix)
-    own_tables = int(tables.shape[0] > 1)
-    before = tuple((length - size) // 2 for length, size in zip(period, (rows, cols), strict=True))
     sums = None
     for first in range(0, count, BATCH):
         size = min(BATCH, count - first)
         spectra = fft.forward_extended(device, planes, first, size, border, period)
-        pitch, half = spectra.shape[2], period[1] // 2 + 1
-        if sums is None:
-            sums = device.empty((channels, period[0], pitch, 2))
-        some = device.array(mix[:, first : first + size])
-        arrays, grid = [spectra, tables, some, sums], (period[0], half)
-        numbers = [int(first == 0), first, count, own_tables]
-        sizes = [*warp_only(device, size, channels), period[0], half, pitch]
-        defines = {"SIZE": size, "CHANNELS": channels}
-        kernel = "accumulate" if tables.shape[3] == half else "accumulate_complex"
-        device.launch("optics.blur", kernel, grid, *arrays, *numbers, *sizes, defines=defines)
-    blurred = fft.inverse(device, sums, period[1])
-    out = device.empty((channels, rows - 2 * margin, cols - 2 * margin))
+        sums = _add(device, spectra, tables, mix, period, first, sums)
+    return _cut(device, sums, (rows, cols), period, margin, base)
+
+
+def transform(planes: Array, border: str, period: tuple[int, int], device: Device) -> Array:
+    """Return the spectra of up to BATCH planes, for `blur_spectra`; arguments as of `blur`."""
+    return fft.forward_extended(device, device.array(planes), 0, planes.shape[0], border, period)
+
+
+def blur_spectra(
+    spectra: Array,
+    tables: tuple[Array, ...],
+    mix: Array,
+    shape: tuple[int, int],
+    period: tuple[int, int],
+    margin: int,
+    device: Device,
+) -> Array:
+    """Return the result of `blur` for planes that are already transformed.
+
+    Args:
+        spectra: Spectra of the planes, see `transform`.
+        tables: Tables whose sum is the transfer function, quarters or halves, see `blur`.
+        mix: Weight of each plane in each channel, shape (channels, planes).
+        shape: Rows and columns of the planes.
+        period: Transform lengths [pixel].
+        margin: Pixels on each side of the planes that are not in the result.
+        device: A `Device`.
+    """
+    mix, sums = np.asarray(device.numpy(mix), np.float32), None
+    for some in tables:
+        sums = _add(device, spectra, device.array(some), mix, period, 0, sums)
+    return _cut(device, sums, shape, period, margin, None)
+
+
+def _add(device, spectra, tables, mix, period, first, sums):
+    """Add spectra of planes from `first` on, times their tables, to the channels' sums; None: nothing yet."""
+    (channels, count), size = mix.shape, spectra.shape[0]
+    pitch, half = spectra.shape[2], period[1] // 2 + 1
+    is_first = sums is None
+    if is_first:
+        sums = device.empty((channels, period[0], pitch, 2))
+    some = device.array(mix[:, first : first + size])
+    arrays, grid = [spectra, tables, some, sums], (period[0], half)
+    numbers = [int(is_first), first, count, int(tables.shape[0] > 1)]
+    sizes = [*warp_only(device, size, channels), period[0], half, pitch]
+    defines = {"SIZE": size, "CHANNELS": channels}
+    kernel = "accumulate" if tables.shape[3] == half else "accumulate_complex"
+    device.launch("optics.blur", kernel, grid, *arrays, *numbers, *sizes, defines=defines)
+    return sums
+
+
+def _cut(device, sums, shape, period, margin, base):
+    """Return the channels of their spectra, which are overwritten, without what is around the frame."""
+    blurred, before = fft.inverse(device, sums, period[1]), fft.middle(shape, period)
+    rows, cols = (n - 2 * margin for n in shape)
+    out = device.empty((sums.shape[0], rows, cols))
     arrays = [blurred, out if base is None else device.array(base), out]
     numbers = [int(base is not None), *(n + margin for n in before)]
     device.launch("optics.blur", "crop", out.shape, *arrays, *numbers, *out.shape, *period)

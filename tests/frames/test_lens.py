@@ -17,9 +17,9 @@ from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Microlens
 from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.pupil import pupil
-from gpusim.optics.field import Differences, FieldBlur
+from gpusim.optics.field import Differences, FieldBlur, _Window, image_error, interpolate
 from gpusim.optics.highlights import Highlights
-from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
+from gpusim.optics.lens import MeasuredLens, PupilLens, Symmetry, open_lens
 
 MACHINE = gs.open_camera("machine-vision")
 PITCH = MACHINE.sensor.pixel_pitch
@@ -138,6 +138,30 @@ def test_differences_sum_to_zero_and_mirror():
         kernels[0], kernels[2][:, :, ::-1]
     )
     assert np.abs(kernels[3]).max() < 1e-12  # on the axis there is none
+
+
+HEIGHTS = Wavefront(((0, 0, 0, 0.1, 0, 0, 0, 0), (0, 0, 0, 0.1, 0.1, 0.1, 0.2, 0.1)), (0.0, 1.0))
+COMA = Wavefront(
+    (0, 0, 0, 0, 0, 0.1, 0.05, 0.1)
+)  # turns with the place: none on the axis is right for all
+
+
+@pytest.mark.parametrize("pupil", [Pupil(), Pupil(6, 0.2, 0.3), Pupil(5)])
+@pytest.mark.parametrize("wavefront", [MILD, HEIGHTS, COMA])
+def test_symmetries_of_the_field_save_kernels_only_where_they_hold(wavefront, pupil):
+    """Kernels on the other side of the axis are as computed there: sums of float32 differ by 1e-6 of the peak."""
+    optics = camera(wavefront=wavefront, pupil=pupil, lateral_color=1e-3).optics
+    places = np.array(
+        [[3.0, 10.0], [60.0, 10.0], [3.0, 85.0], [31.5, 10.0], [31.5, 85.0], [60, 85]]
+    )
+    found, wanted = (
+        Differences(lens, BANDS, np.ones((1, 5)), (64, 96), 60.0, 1e-3)
+        for lens in (open_lens(optics, PITCH, 1.0, (64, 96)) for _ in range(2))
+    )
+    wanted._symmetry = Symmetry(False, False)
+    peak = np.abs(wanted.lens.kernels(BANDS, (0.0, 0.0), 15)).max()
+    assert np.abs(found(places) - wanted(places)).max() < 5 * 2e-6 * peak
+    assert len(found._known) <= len(wanted._known)
 
 
 @pytest.mark.parametrize("device", SOME)
@@ -537,3 +561,45 @@ def test_a_camera_with_that_lens(fields, tolerance):
     assert frame.report.error.rms < (
         tolerance or 1e-5 + 2.5 * frame.report.account.bounds["border"].rms
     )
+
+
+@pytest.mark.parametrize("error", [5e-5, 1e-4, 5e-4])
+def test_kernels_of_few_wavelengths_err_as_little_as_they_say(error):
+    """Against kernels of all 31 wavelengths, as seen by a photograph through a channel as wide as a filter's.
+
+    Their part that both leave to the axis is the same; twice the bound, for places where nothing was measured.
+    """
+    nm = np.linspace(400.0, 700.0, 31)
+    lens = open_lens(camera(wavefront=MILD).optics, PITCH, 1.0, (64, 96))
+    mix = np.exp(-(((nm - np.array([[450.0], [600.0]])) / 40) ** 2))
+    mix /= mix.sum(axis=1, keepdims=True)
+    rest = Differences(lens, nm, mix, (64, 96), 57.7, error)
+    places = np.array([[0.0, 0.0], [63.0, 20.0], [20.0, 70.0]])
+    fields = (places - [31.5, 47.5]) / 57.7
+    axis = lens.kernels(nm, (0.0, 0.0), rest.size)
+    wanted = np.stack(
+        [np.tensordot(mix, lens.kernels(nm, tuple(one), rest.size) - axis, 1) for one in fields]
+    )
+    wanted -= wanted.mean(axis=(2, 3), keepdims=True)
+    assert len(rest.nodes) < 9
+    assert image_error(rest(places), wanted)[1] < 2 * max(rest.end_error(), 1e-6)
+
+
+def test_splines_of_the_field_are_scipys():
+    """Bicubic splines without knots at the second nodes, and B-splines of the windows: as the library has them."""
+    from scipy.interpolate import BSpline, RectBivariateSpline
+
+    random = np.random.default_rng(1)
+    for rows, cols in ((5, 5), (3, 4), (2, 7), (15, 25)):
+        nodes = np.linspace(0, 40, rows), np.linspace(0, 60, cols)
+        values = random.normal(size=(rows * cols, 3))
+        own = interpolate(nodes, values, np.arange(41), np.arange(61))
+        for found, one in zip(own, values.T, strict=True):
+            degrees = {"kx": min(3, rows - 1), "ky": min(3, cols - 1)}
+            spline = RectBivariateSpline(*nodes, one.reshape(rows, cols), **degrees)
+            np.testing.assert_allclose(found, spline(np.arange(41), np.arange(61)), atol=1e-13)
+    for size, count, window in ((48, 3, "quadratic"), (97, 8, "cubic"), (33, 2, "bilinear")):
+        one = _Window(size, count, window)
+        knots, at = np.pad(one.knots, one.degree, mode="edge"), np.arange(float(size))
+        wanted = BSpline.design_matrix(at, knots, one.degree).toarray()
+        np.testing.assert_allclose(one.dense(at), wanted, atol=1e-15)
