@@ -139,6 +139,10 @@ class Device:
         """Return copies of arrays of one shape and type as one array with a new first axis."""
         return np.stack(arrays)
 
+    def copy(self, target: Any, source: Any) -> None:
+        """Copy the values of an array to another one of the same shape and type, in turn with launches."""
+        target[...] = source
+
     def part(self, array: Any, index: int | slice) -> Any:
         """Return a copy of `array[index]` on the device. A slice has a step of 1."""
         return np.array(array[index])

@@ -664,7 +664,8 @@ class Loop:
 
     def _start_again(self, repeat, numbers) -> bool:
         """Make an output with the commands of the last one; False if they do not serve the scene."""
-        device, scene, plan = self.simulator.device, self.scene, self.before.plan[0]
+        device, scene = self.simulator.device, self.scene
+        plan, _ = self.before.plan or (None, None)
         self._last = None  # its arrays are rewritten
         if scene is self._repeated:
             if not (self._plan_still_valid() and repeat.is_current):

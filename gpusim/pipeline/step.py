@@ -165,7 +165,8 @@ class Values:
 
     def dependents(self, *names: str) -> set[str]:
         """Return the outputs of steps that depend on a value or number."""
-        found, new = set(), {*names}
+        found: set[str] = set()
+        new = {*names}
         while new:
             new = {user for name in new for user in self._users.get(name, ())} - found
             found |= new

@@ -241,5 +241,5 @@ def _copy(target: np.ndarray, values: np.ndarray, copiers: ThreadPoolExecutor):
     pairs = zip(
         *(np.array_split(array.ravel(), COPIERS) for array in (target, values)), strict=True
     )
-    for done in [copiers.submit(np.copyto, *pair, casting="unsafe") for pair in pairs]:
+    for done in [copiers.submit(np.copyto, to, part, "unsafe") for to, part in pairs]:
         done.result()
