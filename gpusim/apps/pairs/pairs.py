@@ -87,7 +87,8 @@ class Pairs:
 
     Each pair depends only on its photograph, its number and the seed, whichever others the run
     makes. A photograph is read and blurred once for neighbouring pairs that show the same light,
-    whatever its luminance. With a tolerance each drawn exposure time and luminance has its own plan.
+    whatever its luminance. With a tolerance, its plan is for the longest exposure and the highest
+    luminance that may be drawn. Each pair has the errors of its own light.
 
     Args:
         simulator: Camera and device.
@@ -205,7 +206,8 @@ class Pairs:
         """Return the number of a pair's photograph, its light, and what else its plan depends on."""
         light, more = scene_options(values), tuple[Any, ...]()
         if self._simulator.tolerance is not None:
-            more = values.get("exposure"), self._brightness(values)
+            most = self._variety.most
+            more = most.get("exposure"), self._brightness(most)
         if self._is_scaled and "luminance" in light:
             light["luminance"] = UNIT
         return number // self._each, tuple(light.items()), more

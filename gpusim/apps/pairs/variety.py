@@ -29,6 +29,11 @@ class Variety:
         wanted = f"NAME=LOW..HIGH or a number, above 0, each NAME once: {names}, or light=D65|A"
         return cls(tuple(read_named(text, _values, wanted).items()))
 
+    @property
+    def most(self) -> dict:
+        """The largest values of numbers that may be drawn."""
+        return {name: given[1] for name, given in self.ranges if name in NUMBERS}
+
     def draw(self, seed: int, number: int) -> dict:
         """Return the values of a pair. They depend only on the seed and its number."""
         random = np.random.Generator(np.random.Philox(key=[seed, number]))
