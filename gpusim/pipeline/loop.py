@@ -491,6 +491,9 @@ class Loop:
                 return exposure
         self._last = None  # from here on its arrays are rewritten
         simulator, scene, values = self.simulator, self.scene, self.values
+        if (again := self._expose_again()) is not None:
+            self._last = again, again.plan, scene, *settings
+            return again
         while True:
             plan = self.plan
             self._start(plan)
@@ -518,7 +521,7 @@ class Loop:
         plan = self._usable_plan() if self.capture is None else None
         if plan is not None and not (self._last and self._last[1:3] == (plan, self.scene)):
             self._last = self._repeated = None  # its arrays are rewritten
-            repeat = self._repeat and self._usable_repeat(self._repeat.output)
+            repeat = self._usable_repeat()
             if repeat is not None and self._begin_again(repeat, plan):
                 self._begun = self.scene
             else:
@@ -533,7 +536,7 @@ class Loop:
         if other is not self:
             self._pending, other._pending = other._pending, None
             self._last_metered, self._drift = other._last_metered, other._drift
-            self.before.checked = ()
+            self.before.checked, self._checked = (), None
 
     def _choose_exposure(self):
         """Return exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
@@ -587,7 +590,7 @@ class Loop:
         light = check.light()
         if light[4]:
             # so the next frame of this scene raises again
-            self.before.checked, self._last = ((), None)
+            self.before.checked, self._checked, self._last = (), None, None
             raise BadData(
                 f"{check.scene.name}: {light[4]:.0f} of {check.pixels} pixels have NaN or infinite light"
             )
@@ -634,22 +637,26 @@ class Loop:
         if self.capture is not None:
             found, self._plan_of_capture = self.capture.output(self, name, seed=seed, first=first)
             return found
-        repeat = self._usable_repeat(name)
-        if repeat is not None and self._start_again(repeat, {"seed": seed, "frame": first}):
+        exposure, values, repeat = self.expose(), self.values, self._repeat
+        if (
+            repeat is not None
+            and repeat.output == name
+            and self._repeated is self.scene
+            and repeat.is_current
+        ):
+            repeat.draw(self.simulator.device, {"seed": seed, "frame": first})
             return repeat.result
-        exposure, values = self.expose(), self.values
         if name == "irradiance":
             self._use("irradiance", self.simulator.imaging.irradiance_steps, exposure.plan)
         found = values[name] if name in BEFORE_NOISE else output_of(values, name, seed, first)
-        self._note_output(name)
+        self._note_output(name, exposure)
         return found
 
-    def _usable_repeat(self, name):
-        """Return the commands of the last output if they make this one with the present settings, else None."""
+    def _usable_repeat(self):
+        """Return the commands of the last output if they serve the present settings, else None."""
         repeat = self._repeat
         is_usable = (
             repeat is not None
-            and repeat.output == name
             and repeat.is_current
             and all(map(is_, self._repeat_of, self._settings_of_repeat()))
             and self._usable_plan() is not None
@@ -662,47 +669,46 @@ class Loop:
         settings = self._exposure_time, self._gain, self._brightness
         return self.simulator, *settings, plan and plan[0]
 
-    def _start_again(self, repeat, numbers) -> bool:
-        """Make an output with the commands of the last one; False if they do not serve the scene."""
-        device, scene = self.simulator.device, self.scene
+    def _expose_again(self):
+        """Return the exposure, made by the commands of the last output; None if they do not serve the scene."""
+        repeat, scene = self._usable_repeat(), self.scene
+        if repeat is None:
+            return None
         plan, _ = self.before.plan or (None, None)
-        self._last = None  # its arrays are rewritten
-        if scene is self._repeated:
-            if not (self._plan_still_valid() and repeat.is_current):
-                return False
-            repeat.draw(device, numbers)
-            return True
-        self._repeated, is_begun, self._begun = None, scene is self._begun, None
+        is_done, is_begun, self._begun = scene is self._repeated, scene is self._begun, None
+        self._repeated = None
         if not (
-            (is_begun or self._begin_again(repeat, plan))
+            (is_done or is_begun or self._begin_again(repeat, plan))
             and self._plan_still_valid()
             and repeat.is_current
         ):
-            return False
-        repeat.finish(device, numbers)
-        if self._needs_check(plan):
-            self.before.checked, self._checked = (), scene.content
-            self._fetch_check(plan, repeat.results, repeat.seconds)
+            return None
+        if not is_done:
+            repeat.expose(self.simulator.device)
+            if self._needs_check(plan):
+                self.before.checked, self._checked = (), scene.content
+                self._fetch_check(plan, repeat.results, repeat.exposure.exposure_time)
         self._repeated = scene
-        return True
+        return repeat.exposure
 
     def _begin_again(self, repeat, plan) -> bool:
         """Start the blur of the scene with the commands of the last output; False if they cannot serve it."""
         scene, results = self.scene, repeat.results
         is_measured = self._light in results and ("survey" in results or not plan.find(Watch))
-        return (
-            (is_measured or not self._needs_check(plan))
-            and plan.find(Highlights) is None
-            and not scene.layers
-            and repeat.begin(self.simulator.device, {"content": scene.content, "view": scene.view})
-        )
+        if not (is_measured or not self._needs_check(plan)):
+            return False
+        if plan.find(Highlights) is not None or scene.layers:
+            return False
+        given = {"content": scene.content, "view": scene.view}
+        self.values.give(**given)
+        return repeat.begin(self.simulator.device, given)
 
     def _needs_check(self, plan):
         """Return True if the statistics of the scene are needed: views of one content have the same survey."""
         is_new = plan.scene is not self.scene and self.scene.content is not self._checked
         return is_new or self.meters_late
 
-    def _note_output(self, name):
+    def _note_output(self, name, exposure):
         """Collect the commands of an output after several in a row with the same settings."""
         seconds, values = self._exposure_time, self.values
         if seconds is None:
@@ -723,8 +729,9 @@ class Loop:
         self._outputs, self._patience = 0, min(2 * self._patience, MOST_PATIENCE)
         measured = [other for other in (self._light, "survey") if values.known(other) is not None]
         last = "codes at once" if name == "codes" and "codes at once" in values else name
+        exposed = ["mean", "chip_mean", *measured]
         try:
-            self._repeat = Repeat(values, "rates", [last, *measured], name, float(seconds))
+            self._repeat = Repeat(values, "rates", exposed, last, name, exposure)
         except NotRepeatable:
             return
         self._repeat_of, self._repeated = now[1:], self.scene
@@ -777,7 +784,7 @@ class Loop:
             camera: The camera that it was made for.
         """
         self._pending = self._last = self._last_metered = self._frame_exposure = self._drift = None
-        self.before.checked, self.before.probing = (), Probing()
+        self.before.checked, self._checked, self.before.probing = (), None, Probing()
         self.before.plan = plan, camera
         self.before.probing.set_plan(plan)
 
@@ -796,6 +803,7 @@ class Loop:
         Returns:
             The picture.
         """
+        self._outputs = 0  # its parts are values by name
         return make_frame(self.judged_exposure, self.values, seed, first)
 
     @property

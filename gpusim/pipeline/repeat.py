@@ -6,6 +6,7 @@ from typing import Any
 from gpusim.backends import Device
 from gpusim.backends.tape import Tape
 from gpusim.pipeline.cache import OTHER, Cache, One, compare, ones, version_of
+from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.step import Rate, Step, Values, steps_needed
 
 SCENE = ("content", "view")  # values that a scene sets
@@ -28,34 +29,43 @@ class Repeat:
     Args:
         values: Values of which the output was just computed.
         first: Value that `begin` makes.
-        names: Other values; `finish` makes them. The first is the output.
+        exposed: Values that `expose` makes.
+        last: Value that `draw` makes.
         output: Name of the output.
-        seconds: Exposure time [s].
+        exposure: The exposure with these arrays, which are rewritten.
 
     Attributes:
         results: The values by name; each is rewritten.
-        result: The output.
+        result: The last value.
 
     Raises:
         NotRepeatable: A step reads on the host, or works there with the numbers of the frame.
     """
 
     def __init__(
-        self, values: Values, first: str, names: Sequence[str], output: str, seconds: float
+        self,
+        values: Values,
+        first: str,
+        exposed: Sequence[str],
+        last: str,
+        output: str,
+        exposure: Exposure,
     ):
-        self.output, self.seconds = output, seconds
+        self.output, self.exposure = output, exposure
         self._values, self._version = values, values.version
         self._users = {name: values.dependents(name) for name in SCENE}
         by_frame = values.dependents(*FRAME)
         changing = set().union(by_frame, *self._users.values())
         steps = values.steps.values()
-        before = {step.output for step in steps_needed(steps, [first])}
+        before, to_exposure = (
+            {step.output for step in steps_needed(steps, names)} for names in ([first], exposed)
+        )
         self._known: dict[str, Any] = {name: values.given(name) for name in SCENE}
         self._inputs: list[One] = []  # arrays that stay
         self._rewritten: list[tuple[Cache, str]] = []
         self._host: list[Step] = []  # without commands: they pass on or upload arrays of the scene
         self._tapes: list[tuple[str, Tape]] = []
-        for step in steps_needed(steps, [first, *names]):
+        for step in steps_needed(steps, [first, *exposed, last]):
             name = step.output
             self._known[name] = values.known(name)
             cache = values.cache_of(step)
@@ -75,8 +85,11 @@ class Repeat:
                 self._host.append(step)
             if tape.commands or name not in self._users["content"]:
                 self._rewritten.append((cache, name))
-        self._begins = [name for name, _ in self._tapes if name in before]
-        self._drawn = [name for name, _ in self._tapes if name in by_frame]
+        names = [name for name, _ in self._tapes]
+        self._begins = [name for name in names if name in before]
+        self._exposes = [name for name in names if name in to_exposure - before]
+        self._draws = [name for name in names if name not in before | to_exposure]
+        self._by_frame = by_frame
         passed = {
             id(one.value)
             for step in self._host
@@ -85,10 +98,11 @@ class Repeat:
         self._takers = [tape for _, tape in self._tapes if not tape.used.isdisjoint(passed)]
         self._caches = list(dict.fromkeys(cache for cache, _ in self._rewritten))
         self._commands: dict[tuple, list] = {}  # by the names of their results
-        self._touched: set[str] = set()  # by the scene that was begun
+        self._to_expose: set[str] = set()  # values of scenes that were begun
+        self._to_draw: set[str] = set()
         self._is_first = True
-        self.results = {name: self._known[name] for name in (first, *names)}
-        self.result = self.results[names[0]]
+        self.results = {name: self._known[name] for name in exposed}
+        self.result = self._known[last]
 
     @property
     def is_current(self) -> bool:
@@ -103,7 +117,9 @@ class Repeat:
         """Make the first value for other values of SCENE; False if the commands cannot serve them."""
         self._expire()
         changed = {name: value for name, value in scene.items() if value is not self._known[name]}
-        self._touched = set().union(*(self._users[name] for name in changed))
+        touched = set().union(*(self._users[name] for name in changed))
+        self._to_expose |= touched
+        self._to_draw |= touched
         passed = []
         for step in self._host:
             if not any(name in changed for name in step.inputs):
@@ -128,25 +144,23 @@ class Repeat:
         if passed and not all(tape.exchange(passed) for tape in self._takers):
             return False
         self._known |= changed
-        self._start(device, [name for name in self._begins if name in self._touched])
+        self._start(device, [name for name in self._begins if name in touched])
         return True
 
-    def finish(self, device: Device, numbers: Mapping[str, int]) -> None:
-        """Make the other values for the numbers of a frame."""
-        self._renumber(numbers)
-        names = self._touched.union(self._drawn).difference(self._begins)
-        self._start(device, (name for name, _ in self._tapes if name in names))
+    def expose(self, device: Device) -> None:
+        """Make the exposure's values."""
+        self._start(device, [name for name in self._exposes if name in self._to_expose])
+        self._to_expose = set()
 
     def draw(self, device: Device, numbers: Mapping[str, int]) -> None:
-        """Make the values again that depend on the numbers of the frame."""
+        """Make the last value for the numbers of a frame."""
         self._expire()
-        self._renumber(numbers)
-        self._start(device, self._drawn)
-
-    def _renumber(self, numbers):
         for name, tape in self._tapes:
-            if name in self._drawn:
+            if name in self._by_frame:
                 tape.renumber(numbers)
+        changed = self._to_draw | self._by_frame
+        self._start(device, [name for name in self._draws if name in changed])
+        self._to_draw = set()
 
     def _start(self, device, names: Iterable[str]):
         """Start the commands that make values."""

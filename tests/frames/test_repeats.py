@@ -126,3 +126,36 @@ def test_each_fixed_exposure_has_its_own_commands(device):
         found = loop.update(scene=scene, exposure_time=seconds).raw(first=number)
         wanted = simulator.loop(scene, seconds, plan=plan).raw(first=number)
         np.testing.assert_array_equal(host(simulator, found), host(simulator, wanted))
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_a_scene_that_was_begun_but_not_exposed_is_measured_with_the_next(device):
+    """The view after it changes less than it did: what only the content changes must not be left out."""
+    simulator, given = open_phone(device), scenes("materials")
+    moved = [replace(scene, view=View(shift=(0.4, 0.1 * k))) for k, scene in enumerate(given)]
+    plan = simulator.plan(moved[0])
+    loop = simulator.loop(moved[0], SECONDS, plan=plan)
+    for number in range(5):
+        loop.update(scene=moved[number]).raw(first=number)
+    loop.update(scene=moved[1]).begin()
+    last = replace(moved[1], view=View(shift=(0.3, 0.2)))
+    found = host(simulator, loop.update(scene=last).raw(first=5))
+    wanted = simulator.loop(last, SECONDS, plan=plan).raw(first=5)
+    np.testing.assert_array_equal(found, host(simulator, wanted))
+
+
+@pytest.mark.parametrize("device", KINDS)
+def test_values_by_name_after_a_repeated_exposure_are_that_scene_s(device):
+    simulator, given = open_phone(device), scenes("cube")
+    plan = simulator.plan(given[0])
+    loop = simulator.loop(given[0], SECONDS, plan=plan)
+    for number in range(5):
+        loop.update(scene=given[number]).raw(first=number)
+    exposure = loop.update(scene=given[1]).expose()
+    one = simulator.loop(given[1], SECONDS, plan=plan)
+    for found, wanted in (
+        (exposure.mean, one.exposure.mean),
+        (loop.values["electrons"], one.output("electrons")),
+        (loop.frame(first=3).rgb, one.frame(first=3).rgb),
+    ):
+        np.testing.assert_array_equal(host(simulator, found), host(simulator, wanted))
