@@ -39,7 +39,7 @@ THREADS = 4  # of an encoder; as many cores work for each segment that is encode
 PART_OF = dict.fromkeys((".png", *JPEG), "rgb") | dict.fromkeys(
     (".tif", ".tiff", ".exr", ".npy"), "linear"
 )
-OUTPUT_OF = {"rgb": "codes", "linear": "linear"}
+OUTPUT_OF = {"rgb": "codes", "linear": "linear", "raw": "raw"}
 PARTS_OF = {".dng": ("raw", "rendering"), ".npz": ("mean", "raw"), RAW_ARRAY: ("raw",)}
 
 
@@ -257,6 +257,8 @@ def _make_frame(loop, number, *, seed, output, parts, late):
         loop.settle()  # as `Loop.frame` does
         exposure, output = loop.expose(), OUTPUT_OF[parts[0]]
         found = _fetch(loop.simulator, loop.output(output, seed=seed, first=number), output)
+        if output == "raw":
+            found = partial(_split_layers, exposure, found)
         values = _picture(exposure, parts[0], found)
     else:
         values = loop.frame(seed=seed, first=number)
@@ -264,6 +266,11 @@ def _make_frame(loop, number, *, seed, output, parts, late):
             getattr(values, part)
         values = values if parts else values.complete()
     return Made.of(number, values, account, exposure)
+
+
+def _split_layers(exposure, found):
+    """Return the raw values of a function with the layers of stacked pixels on an axis."""
+    return exposure.split_layers(found())
 
 
 class _Fetched(Parts):
