@@ -12,6 +12,8 @@ import sys
 # Exit statuses. After another signal the status is 128 + its number, as in shells.
 INTERRUPTED, FAILED = 2, 2
 GONE = 128 + 13  # the reader of the output has ended, like `head`: SIGPIPE
+# with large products of matrices. For others, threads of OpenBLAS only wait, and take 100 ms as they start.
+LARGE = {"verify", "bench", "train-l3", "--verify"}
 
 
 def start() -> int:
@@ -24,6 +26,8 @@ def start() -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stop)
+    if not LARGE & {*sys.argv}:
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read as NumPy is imported
     gc.set_threshold(20_000)  # imports make no cycles, and looking for them takes 40 ms
     try:
         status = _run()

@@ -1,5 +1,6 @@
 """The start of a process: results of libraries that take long to import, computed without them."""
 
+import os
 import subprocess
 import sys
 
@@ -13,6 +14,7 @@ from gpusim.optics.windows import average_boxes
 
 # What frames of a simple lens does without: each takes 40 to 500 ms to import
 SLOW = ("scipy.signal", "scipy.stats", "scipy.interpolate", "scipy.optimize", "scipy.ndimage")
+NAME = "OPENBLAS_NUM_THREADS"
 PLAN = """
 import sys
 import gpusim as gs
@@ -27,6 +29,21 @@ def test_a_plan_imports_nothing_slow():
     command = [sys.executable, "-W", "ignore", "-c", PLAN, *slow]
     end = subprocess.run(command, capture_output=True, text=True, timeout=300)
     assert (end.stdout.strip(), end.stderr) == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("command", "own", "expected"),
+    [("simulate", None, "1"), ("simulate", "3", "3"), ("verify", None, "None")],
+)
+def test_commands_without_large_products_start_no_threads_for_them(command, own, expected):
+    words = "import os; from gpusim.__main__ import start; start(); print(os.environ.get(NAME))"
+    words = f"import sys; sys.argv = ['gpusim', {command!r}, '--help']; NAME = {NAME!r}; {words}"
+    others = {name: value for name, value in os.environ.items() if name != NAME}
+    environment = others | ({} if own is None else {NAME: own})
+    end = subprocess.run(
+        [sys.executable, "-c", words], capture_output=True, text=True, env=environment
+    )
+    assert end.stdout.split()[-1] == expected, end.stderr
 
 
 @pytest.mark.parametrize("count", [2, 3, 4, 5, 31])
