@@ -5,7 +5,7 @@
 time, and flicker is integrated on a fine grid.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -24,6 +24,7 @@ from gpusim.captures.capture import Capture, Light
 from gpusim.captures.reads import Reads
 from gpusim.domain.errors import OutOfRange
 
+PLAIN = gs.View()
 PERIOD = 1 / 30  # [s] of a video
 STEP = 0.3  # [sample] between instants
 LEAST, MOST = 5, 41  # instants
@@ -36,7 +37,7 @@ class Asked:
     """An exposure that the product made.
 
     mean: electrons. account, verdict: of the product. seconds: exposure time. view: of the scene,
-    None if it moves from `start` on.
+    None if it moves from `start` on. base: view of the scene that moves.
     """
 
     mean: np.ndarray
@@ -45,6 +46,7 @@ class Asked:
     view: gs.View | None
     start: float = 0.0
     left_out: tuple = ()
+    base: gs.View = PLAIN
 
 
 def exposures(question, simulator) -> list[Asked]:
@@ -74,7 +76,8 @@ def exposures(question, simulator) -> list[Asked]:
             for shot in shots[:2]:
                 exposure = shot.exposure
                 start = number * PERIOD + after
-                found.append(_asked(simulator, exposure, None if moves else one.view, start))
+                view = None if moves else one.view
+                found.append(replace(_asked(simulator, exposure, view, start), base=one.view))
                 after += 0.0 if "reads" in names else exposure.exposure_time + light.readout_time
     return found
 
@@ -134,8 +137,6 @@ def answers(question, asked: Asked):
     if asked.view is not None:
         seen = made_scene(scene, asked.view)
         return outside.answers(seen, camera, asked.seconds)
-    if any(not view.is_plain for view in question.views):
-        raise OutOfRange("views", "behind a rolling shutter", "a plain view")
     if scene.depth is not None and any(question.motion.pan):
         raise OutOfRange("motion", "of a scene with depth", "a scene without depth")
     return _moving(question, asked)
@@ -151,17 +152,22 @@ def _moving(question, asked):
     is_common = not (sensor.row_time or question.flicker)  # all rows see the same mean light
     count = int(np.clip(ceil(path / STEP) + 1, LEAST, MOST)) if path else 1
     times, parts = asked.start + whole * np.linspace(0, 1, count), None
-    if (
-        is_common and path
-    ):  # points of Gauss: waves of half a cycle a sample need a half of the path, and some
+    if is_common and path:
+        # points of Gauss: waves of half a cycle a sample need a half of the path, and some
         parts, weights = np.polynomial.legendre.leggauss(ceil(path) + 12)
         times = asked.start + whole * (parts + 1) / 2
+    scene = made_scene(scene, asked.base)
     lens, rates, worlds = Lens(scene, camera), [], []
     planes = outside.planes_of(scene)
-    for time in times:
-        view = question.motion.at(float(time))
+    for time in times if path else times[:1]:
+        view = question.motion.through(asked.base).at(float(time) if path else 0.0)
         shift = [scene.samples_per_pixel * one for one in view.shift]
-        worlds.append(shifted(planes, shift, scene.border) if any(shift) else planes)
+        if view.is_plain or scene.depth is not None:  # the sums displace sheets
+            worlds.append(planes)
+        elif view.zoom == 1 and not view.rotation:
+            worlds.append(shifted(planes, shift, scene.border))
+        else:
+            worlds.append(outside.seen_by_view(scene.viewed(view), planes))
     if parts is not None:
         worlds = [np.tensordot(weights / 2, worlds, 1)]
     for world in worlds:

@@ -17,6 +17,7 @@ from gpusim.domain.account import Bound
 from gpusim.domain.scene import View
 from gpusim.optics.fusion import SAMPLED_PERIOD, in_range
 from gpusim.optics.geometry import interpolated_share, interpolation_error
+from gpusim.optics.highlights import median_of
 from gpusim.optics.outside import border_indices, rule_of
 from gpusim.optics.ripples import places_among, world_ripples
 from gpusim.optics.windows import Windows, level_above, quantile
@@ -27,6 +28,7 @@ SIDE = SAMPLED_PERIOD
 RIM = 12
 INNER = SIDE - 2 * RIM
 UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over all channels', from which it counts as the error
+LONE = 8.0  # times the median of samples, from which on few of them have ripples that windows do not hold
 # windows of 31 wavelengths; of more there are fewer, but not below these
 COUNT = 12
 LEAST_WINDOWS = 4
@@ -265,24 +267,26 @@ class Probes:
         """
         if view.is_whole(ratio):
             return Bound()
-        bound = (self if view.zoom == 1 else self._magnify(view.zoom)).interpolation_bound()
-        # ripples of stars are far from their windows, too
-        return replace(bound, p999_sigma=max(bound.p999_sigma, self._ripple_error.p999_sigma))
+        return (self if view.zoom == 1 else self._magnify(view.zoom)).interpolation_bound()
 
     @cached_property
-    def _ripple_error(self) -> Bound:
-        """The error of ripples from afar that cubics do not have, between samples."""
-        if self.brightness is None or not self.level > 0:
-            return Bound()
-        errors = []
-        for axis, n in enumerate(self.brightness.shape):
-            # a window has those that are near
+    def _ripples(self) -> list[np.ndarray]:
+        """Ripples from afar that interpolated light does not have, along both axes, halfway between samples.
+
+        Windows are too small for those of few bright samples, and stand for all others.
+        """
+        light = self.brightness
+        if light is None or not light.max(initial=0) > LONE * median_of(light):
+            return []
+        found, half = [], SIDE // 2 + 1
+        path = np.ones((SIDE, half)) if self.path is None else self.path
+        for axis, n in enumerate(light.shape):
             weights = world_ripples(places_among(n), n, self.border, INNER / 4)
-            path = np.ones((SIDE, SIDE // 2 + 1)) if self.path is None else self.path
-            part = np.maximum(path[: SIDE // 2 + 1, -1], path[-np.arange(SIDE // 2 + 1), -1])
-            part = part if axis else path[SIDE // 2]
-            errors.append(self.see_ripples(axis, weights, part))
-        return self.everywhere(errors)
+            part = (
+                np.maximum(path[:half, -1], path[-np.arange(half), -1]) if axis else path[half - 1]
+            )
+            found.append(self.see_ripples(axis, weights, part))
+        return found
 
     def _magnify(self, zoom: float) -> "Probes":
         """The same windows if the lens blurs a magnified picture: waves of f cycles per sample become f / zoom."""
@@ -308,8 +312,19 @@ class Probes:
             _interpolation_loss(shares, one) for one in ((None, 1.0) if width is None else (width,))
         ]
         if width is not None or not np.any(self.area_light):
-            return self.bound(self.exact * wrong[0])
-        return self.bound((self.exact - self.area_light) * wrong[0] + self.area_light * wrong[1])
+            bound = self.bound(self.exact * wrong[0])
+        else:
+            bound = self.bound(
+                (self.exact - self.area_light) * wrong[0] + self.area_light * wrong[1]
+            )
+        if not self._ripples or not self.level > 0:
+            return bound
+        parts = np.ones(2)
+        if phases is not None:
+            size = np.abs(np.sin(np.pi * np.arange(len(phases)) / len(phases)))
+            parts = np.minimum(1, np.pi / 2 * np.array([phases.sum(1), phases.sum(0)]) @ size)
+        afar = self.everywhere([part * one for part, one in zip(parts, self._ripples, strict=True)])
+        return replace(bound, p999_sigma=max(bound.p999_sigma, afar.p999_sigma))
 
     @cached_property
     def area_light(self) -> np.ndarray:
