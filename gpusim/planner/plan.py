@@ -193,6 +193,7 @@ class Plan:
             grid and grid.nodes,
             varying and (varying.kernels, varying.edges),
             space and (space.kernels, space.edges, space.values),
+            *(() if space is None or space.coarse is None else ("far part on a coarse grid",)),
             depth and (depth.distances, depth.kernels, depth.confusion),
             depth
             and (rays := depth.occlusion)
