@@ -42,7 +42,7 @@ def natural(seed, shape=(SIZE, SIZE)):
     f = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.fftfreq(shape[1]))
     f[0, 0] = 1
     waves = np.fft.ifft2(np.fft.fft2(random.standard_normal(shape)) / f).real
-    return np.exp(0.1 * waves / waves.std())
+    return np.exp(0.35 * waves / waves.std())
 
 
 def test_circle_of_confusion_is_the_thin_lens():
