@@ -343,9 +343,29 @@ def plan_depth(
         BadData: The depth map does not fit.
         OutOfRange: A distance has no image or lies outside those known, or there are too many kernels.
     """
-    tolerance = tolerance or TOLERANCE
     depth, light = np.asarray(depth, np.float64), np.asarray(brightness)
     confusion = checked_confusion(optics, pitch, depth, light.shape)
+    settings = tolerance or TOLERANCE, layered, scene, curvature, is_placed, widest, known
+    with ThreadPoolExecutor(2) as pool:  # NumPy lets other threads run
+        return _plan_depth(optics, pitch, light, confusion, *settings, pool)
+
+
+def _plan_depth(
+    optics,
+    pitch,
+    light,
+    confusion,
+    tolerance,
+    layered,
+    scene,
+    curvature,
+    is_placed,
+    widest,
+    known,
+    pool,
+):
+    """Return the plan for circles of confusion (rows, cols), see `plan_depth`."""
+    finding = pool.submit(Edges.of, confusion, light)
     sheets: tuple = ()
     groups: tuple[int, ...] = ()
     if scene is not None and scene.layers:
@@ -373,7 +393,7 @@ def plan_depth(
             f"kernels for an error of {tolerance:.2g}",
             f"up to {MOST_KERNELS} kernels: a larger tolerance, a smaller aperture or less depth",
         )
-    edges = Edges.of(confusion, light)
+    edges = finding.result()
     plain = edges.plain_error(light, power)
     span = f"circles of confusion of {low:.3g} .. {high:.3g} pixels by {len(nodes)} kernels"
     predicted = {
@@ -400,7 +420,7 @@ def plan_depth(
     if layered is None:
         layered = plain > tolerance and in_layers < plain
     cuts = cuts if layered else np.empty(0)
-    layer = np.zeros(depth.shape, np.uint8)
+    layer = np.zeros(confusion.shape, np.uint8)
     for cut in cuts:
         layer += confusion > cut
     # some may have no pixel
@@ -408,6 +428,7 @@ def plan_depth(
     count = sum(present)
     if not all(present):
         layer = (np.cumsum(present) - 1).astype(np.uint8)[layer]
+    mixing = pool.submit(find_mixed, layer, confusion, light) if count > 1 else None
     if is_placed:
         predicted[BETWEEN] = _between_error(confusion, contrast, q, curvature, layer)
     if layered:
@@ -419,7 +440,7 @@ def plan_depth(
         predicted["depth, occlusion left out"] = plain
         predicted["depth, if in layers"] = in_layers
     groups = tuple(range(count))
-    mixed = find_mixed(layer, confusion, light) if count > 1 else None
+    mixed = mixing.result() if mixing else None
     return DepthPlan(
         distances, nodes, confusion, layer, count, model, predicted, (), groups, mixed=mixed
     )

@@ -5,6 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from gpusim.domain.stored import stored
+
 MOST_LAYERS = 16
 JUMP = 1.0  # [pixel] of circle of confusion between neighbours: more is an edge, less one surface that slopes
 REMAINS = 0.1  # of a covariance over the pupil, after it was summed
@@ -275,24 +277,31 @@ def _edge(what, near, far):
 
 @lru_cache(maxsize=1)
 def _edge_tables():
+    """Return angles, and the tables of `_integrate_edges` by name."""
+    angles, *tables = _integrate_edges()
+    return angles, dict(zip(("plain", "hidden", "covariance", "differs"), tables, strict=True))
+
+
+@stored
+def _integrate_edges():
     """Integrals over t of squared errors for radii (cos, sin) of an angle: see `Edges`.
 
-    plain: between even surfaces. hidden: share of a pixel's light that is guessed. covariance:
+    The angles; then plain: between even surfaces. hidden: share of a pixel's light that is guessed. covariance:
     variance over the pupil of the occluder; differs: over the part of the pupil in which using b's
     kernel for f's is wrong.
     """
     angles = np.linspace(0, np.pi, 257)
     t = (np.arange(4000) + 0.5) / 2000 - 1
-    tables = {name: np.empty(257) for name in ("plain", "hidden", "covariance", "differs")}
+    tables = np.empty((4, 257))
     for k, angle in enumerate(angles):
         near, far = _edge_spread(t, abs(np.cos(angle))), _edge_spread(t, abs(np.sin(angle)))
         more = near - far
         wrong = np.abs(more) if angle <= np.pi / 2 else np.where(t > 0, 2 - near - far, near + far)
-        tables["plain"][k] = 2 * np.mean((more * near / (1 + more)) ** 2)
-        tables["hidden"][k] = 2 * np.mean(((1 - near) * far) ** 2)
-        tables["covariance"][k] = 2 * np.mean(near * (1 - near))
-        tables["differs"][k] = 2 * np.mean(wrong - more**2)
-    return angles, tables
+        tables[0, k] = 2 * np.mean((more * near / (1 + more)) ** 2)
+        tables[1, k] = 2 * np.mean(((1 - near) * far) ** 2)
+        tables[2, k] = 2 * np.mean(near * (1 - near))
+        tables[3, k] = 2 * np.mean(wrong - more**2)
+    return angles, *tables
 
 
 def _edge_spread(t, radius):

@@ -36,7 +36,7 @@ LEAST_TILE = 8  # [pixel] a side
 WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of the place
 NEAR_LINES = 3  # [pixel] on both sides of an edge between tiles, in which nearly all of a line lies
 ALONG = np.array([-1.0, 0.0, 1.0])  # places along an edge between tiles, of half its length
-COARSE_SHARE = 0.25  # of the limit: error by a coarse grid
+COARSE_SHARE = 0.5  # of the limit: error by a coarse grid
 TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
 
 
@@ -150,10 +150,9 @@ def make_space(
     if shape[0] * shape[1] > LARGE:
         settings = lens, np.asarray(wavelengths), mix, room, distances[reference], basis.shape[-1]
         coarse = _error_of_split(*settings)
-        if coarse <= COARSE_SHARE * limit:
-            error = float(np.hypot(error[0], coarse)), float(np.hypot(error[1], coarse))
-        else:
-            coarse = None
+        both = tuple(float(np.hypot(one, coarse)) for one in error)
+        is_good = coarse <= COARSE_SHARE * limit and both[0] <= limit
+        error, coarse = (both, coarse) if is_good else (error, None)
     return KernelSpace(
         basis,
         nodes,

@@ -199,9 +199,14 @@ class Bending:
         """Weights (K, E) between nodes, or their derivatives."""
         if len(nodes[0]) == 1:
             return np.repeat(weights[0, 0][:, None], len(places), axis=1)
-        spline = scipy.interpolate.RectBivariateSpline
-        every = [spline(*nodes, one) for one in np.moveaxis(weights, -1, 0)]
-        return np.stack([one.ev(*places.T, dx=dx, dy=dy) for one in every])
+        along = []
+        for axis, (at, order) in enumerate(zip(nodes, (dx, dy), strict=True)):
+            spline = scipy.interpolate.make_interp_spline(at, np.eye(len(at)))
+            inside = np.clip(places[:, axis], at[0], at[-1])
+            along.append((spline.derivative(order) if order else spline)(inside))
+        rows, count = along[0] @ weights.reshape(len(nodes[0]), -1), weights.shape[2]
+        rows = rows.reshape(len(places), -1, count)
+        return np.einsum("pn,pnk->kp", along[1], rows, optimize=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -427,17 +432,20 @@ def find_occlusion(
     def weights_at(at):
         return bending.of_places(at + np.array(begin)) if bending else no_weights[:, : len(at)]
 
+    def bent_at(at):
+        return bending.slopes(at + np.array(begin)) if bending else tilts[:0, :, : len(at)]
+
     def slopes_at(at, tilts):
-        parts = [tilts] if bending is None else [bending.slopes(at + np.array(begin)), tilts]
-        found = np.concatenate(parts)
+        found = np.concatenate([of_tried if at is tried[0] else bent_at(at), tilts])
         return found if found.any() else None
+
+    weights_of_tried, of_tried = weights_at(tried[0]), bent_at(tried[0])
 
     def values(points, at=None, maps=None):
         bends = bending.of_points(points) if bending else no_bends
-        weights = weights_at(tried[0])
         maps = maps_at(tried[0]) if maps is None else maps
         slopes = slopes_at(tried[0] if at is None else at, tilts[..., some])
-        inputs = (*tried[1:], weights, maps, slopes)  # their last axis is of the places
+        inputs = (*tried[1:], weights_of_tried, maps, slopes)  # their last axis is of the places
         count = len(tried[0])
 
         def value(part):

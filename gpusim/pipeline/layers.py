@@ -21,7 +21,7 @@ from gpusim.optics.coarse import CoarseGrid
 from gpusim.optics.depth import DepthPlan, flatten
 from gpusim.optics.expansion import Terms, choose_terms
 from gpusim.optics.kernel_space import KernelSpace
-from gpusim.optics.placed import Placed, find_box
+from gpusim.optics.placed import find_box
 from gpusim.pipeline.reading import planes, store
 from gpusim.pipeline.tables import LensTables
 from gpusim.planner.choices import Blur, Fusion, Planes
@@ -51,9 +51,9 @@ class PreparedLayer:
 
 def prepare_layers(places, *, plan: Plan, device) -> tuple[PreparedLayer, ...]:
     """Return the layers of a plan. places: see `place_layers`; None: nothing is displaced."""
-    depth, space, shape = plan.find(DepthPlan), plan.find(KernelSpace), plan.content.shape
+    depth, space = plan.find(DepthPlan), plan.find(KernelSpace)
     assert depth is not None and space is not None
-    placed = None if places is None else Placed(places[2], shape, shape)
+    placed = None if places is None else places[2]
 
     def prepare(layer):
         coverage, confusion = depth.surface(layer)

@@ -29,6 +29,7 @@ from gpusim.optics.highlights import (
 )
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lens import open_lens
+from gpusim.optics.placed import Placed
 from gpusim.pipeline.reading import WHOLE, planes, store
 from gpusim.pipeline.tables import tables_at_distance
 
@@ -50,21 +51,27 @@ def place_samples(view: View, **constants) -> Any:
 
     constants: see `_placing_constants`, and the device.
     """
-    return place_layers(view, **constants)[0]
+    device = constants.pop("device")
+    return device.array(_place_nodes(view, **constants)[None])
 
 
-def place_layers(view: View, *, grid, seen, shape, ratio, device) -> tuple:
+def place_layers(view: View, *, shape, device, **constants) -> tuple:
     """Return the positions of light, and of coverage, which has no flux factor, for `optics.distort`.
 
-    The third result is the positions of light on the host.
+    The third result finds the samples that parts of the frame take light from.
     """
-    if view.is_plain and grid is not None:
-        nodes = grid.nodes
-    else:
-        nodes = view_nodes(view, grid, seen, shape, ratio)
+    nodes = _place_nodes(view, shape=shape, **constants)
     cover = nodes.copy()
     cover[..., 2] = 1
-    return device.array(nodes[None]), device.array(cover[None]), nodes
+    placed = Placed(nodes, shape, shape)
+    return device.array(nodes[None]), device.array(cover[None]), placed
+
+
+def _place_nodes(view, *, grid, seen, shape, ratio):
+    """Return the grid of places of the samples after the lens and a view, see `optics.distort`."""
+    if view.is_plain and grid is not None:
+        return grid.nodes
+    return view_nodes(view, grid, seen, shape, ratio)
 
 
 def zoom_of(view: View) -> float:

@@ -208,6 +208,7 @@ class Plan:
             depth and (depth.layers, depth.layer),
             depth and depth.groups,
             depth and depth.occlusion and (depth.occlusion.places, depth.occlusion.is_diffracted),
+            *(() if space is None or space.coarse is None else ("far part on a coarse grid",)),
         )
         kind = scene.content.shape, scene.border, scene.margin, float(scene.samples_per_pixel)
         return digest(
