@@ -105,7 +105,7 @@ class LensTables:
         blur, fusion = plan.find(Blur), plan.find(Fusion)
         assert blur is not None  # a plan with blur
         made_of = self._made_of(plan), blur.period, fusion and fusion.transfers
-        if is_drafted(plan):
+        if is_drafted(plan, self.device):
             optics, *rest = made_of[0]
             focus = replace(optics, defocus=0.0, wavefront=Wavefront()), *rest
             known = None
@@ -241,11 +241,15 @@ def _sum_of_parts(made_of, period, transfers, device) -> Any:
     """Return tables of planes from kernels of planes in place of many wavelengths; None if the lens has none."""
     optics, pitch, aperture, displacement, q = made_of
     lens = open_lens(optics, pitch, aperture, displacement=displacement)
-    parts = lens.table_parts(q, *period, _OnDevice(device))
+    if device.kind == "numpy":
+        return None
+    parts = lens.table_parts(q, period[0], period[1], _OnDevice(device))
     if parts is None or parts[1].shape[-1] > min(period):
         return None
     focus = device.numpy(combine_bands(parts[0], transfers, device))
-    rest = _spectra_of_kernels(np.tensordot(np.float32(transfers), parts[1], 1), period, device)
+    rest = _spectra_of_kernels(
+        np.tensordot(transfers.astype(np.float32), parts[1], 1), period, device
+    )
     whole = device.numpy(rest).view(np.complex64)
     high = period[0] // 2 + 1
     if focus.shape == rest.shape:
@@ -258,11 +262,12 @@ def _sum_of_parts(made_of, period, transfers, device) -> Any:
     return device.array(whole.view(np.float32))
 
 
-def is_drafted(plan: Plan) -> bool:
+def is_drafted(plan: Plan, device: Device) -> bool:
     """Return whether the tables of a plan are made by `draft_tables`, next to tables of the lens in focus."""
     blur, lens = plan.find(Blur), lens_of(plan.camera)
     return (
         plan.is_draft
+        and device.kind != "numpy"  # the reference has no spectra
         and blur is not None
         and blur.mix.shape[-1] <= BATCH
         and plan.find(Fusion) is not None
@@ -294,8 +299,8 @@ def draft_tables(made_of, period, transfers, is_whole, device) -> Any:
         soft, move = optics.diffuser / pitch, tuple(-np.array(displacement))
         settings = lens.aperture, lens.spots, soft, move
         bands = difference_kernels(optics.pupil, lens.waves(wavelengths), nodes, *settings)
-        bands *= np.float32(flat)[:, None, None]
-    kernels = np.tensordot(np.float32(transfers @ between), np.float32(bands), 1)
+        bands *= flat.astype(np.float32)[:, None, None]
+    kernels = np.tensordot((transfers @ between).astype(np.float32), bands.astype(np.float32), 1)
     return _spectra_of_kernels(kernels, period, device)
 
 
