@@ -441,7 +441,9 @@ class _Steps:
             stage = "optics.blur"
             constants |= {"period": plan.period}
         inputs, run = [f"{self.prefix}transfer"], None
-        if stage == "optics.blur" and is_drafted(plan):  # planes stay while a lens is turned
+        if stage == "optics.blur" and is_drafted(
+            plan, self.device
+        ):  # planes stay while a lens is turned
             around = {"border": constants.pop("border"), "period": plan.period}
             host = BY_SCIPY if self.device.on_host else ""
             chain.add(stage, around, run=transform, host=host)

@@ -33,6 +33,7 @@ DRAFT_NODES = 5  # wavelengths between which kernels of drafts are cubic
 DRAFT_BANDS = 17  # wavelengths between which tables of drafts are cubic: they err by 5e-4 at most
 MOST_TURN = 4.0  # [waves per radius] of the wavefront up to which they do
 SHORT = 127  # [sample] at least of a draft's kernels that hold all light
+MOST_WRAPS = 4  # periods in a kernel, up to which kernels of planes are transformed
 RADII, ANGLES = 65, 129  # of frequencies between which a transfer function in focus is linear
 
 
@@ -105,7 +106,7 @@ class LensTables:
         blur, fusion = plan.find(Blur), plan.find(Fusion)
         assert blur is not None  # a plan with blur
         made_of = self._made_of(plan), blur.period, fusion and fusion.transfers
-        if is_drafted(plan):
+        if is_drafted(plan, self.device):
             optics, *rest = made_of[0]
             focus = replace(optics, defocus=0.0, wavefront=Wavefront()), *rest
             known = None
@@ -246,11 +247,15 @@ def _sum_of_parts(made_of, period, transfers, device) -> Any:
     """Return tables of planes from kernels of planes in place of many wavelengths; None if the lens has none."""
     optics, pitch, aperture, displacement, q = made_of
     lens = open_lens(optics, pitch, aperture, displacement=displacement)
-    parts = lens.table_parts(q, *period, _OnDevice(device))
-    if parts is None or parts[1].shape[-1] > min(period):
+    if device.kind == "numpy":
+        return None
+    parts = lens.table_parts(q, period[0], period[1], _OnDevice(device))
+    if parts is None or parts[1].shape[-1] > MOST_WRAPS * max(period):
         return None
     focus = device.numpy(combine_bands(parts[0], transfers, device))
-    rest = _spectra_of_kernels(np.tensordot(np.float32(transfers), parts[1], 1), period, device)
+    rest = _spectra_of_kernels(
+        np.tensordot(transfers.astype(np.float32), parts[1], 1), period, device
+    )
     whole = device.numpy(rest).view(np.complex64)
     high = period[0] // 2 + 1
     if focus.shape == rest.shape:
@@ -260,14 +265,15 @@ def _sum_of_parts(made_of, period, transfers, device) -> Any:
     else:
         whole.real[..., :high, :] += focus
         whole.real[..., high:, :] += focus[..., period[0] - high : 0 : -1, :]
-    return device.array(whole.view(np.float32))
+    return _updated(device, rest, whole)
 
 
-def is_drafted(plan: Plan) -> bool:
+def is_drafted(plan: Plan, device: Device) -> bool:
     """Return whether the tables of a plan are made by `draft_tables`, next to tables of the lens in focus."""
     blur, lens = plan.find(Blur), lens_of(plan.camera)
     return (
         plan.is_draft
+        and device.kind != "numpy"  # the reference has no spectra
         and blur is not None
         and blur.mix.shape[-1] <= BATCH
         and plan.find(Fusion) is not None
@@ -299,24 +305,37 @@ def draft_tables(made_of, period, transfers, is_whole, device) -> Any:
         soft, move = optics.diffuser / pitch, tuple(-np.array(displacement))
         settings = lens.aperture, lens.spots, soft, move
         bands = difference_kernels(optics.pupil, lens.waves(wavelengths), nodes, *settings)
-        bands *= np.float32(flat)[:, None, None]
-    kernels = np.tensordot(np.float32(transfers @ between), np.float32(bands), 1)
+        bands *= flat.astype(np.float32)[:, None, None]
+    kernels = np.tensordot((transfers @ between).astype(np.float32), bands.astype(np.float32), 1)
     return _spectra_of_kernels(kernels, period, device)
 
 
 def _spectra_of_kernels(kernels, period, device):
     """Return half tables (groups, planes, ...) of kernels (groups, planes, n, n), their middle at sample 0."""
     (rows, cols), size = period, kernels.shape[-1]
-    at = np.arange(size) - size // 2
-    lines, half = np.zeros((*kernels.shape[:-1], cols), np.float32), cols // 2 + 1
-    lines[..., at % cols] = kernels
+    at, half = np.arange(size) - size // 2, cols // 2 + 1
+    lines = np.zeros((*kernels.shape[:-1], cols), np.float32)
+    for part in _parts(size, cols):  # what is longer than the period is wrapped
+        lines[..., at[part] % cols] += kernels[..., part]
     tables = device.empty((*kernels.shape[:2], rows, 2 * half))
     with device.host_work():
-        whole = device.numpy(tables).view(np.complex64)
+        whole, spectra = device.numpy(tables).view(np.complex64), scipy.fft.rfft(lines, workers=-1)
         whole[:] = 0
-        whole[..., at % rows, :] = scipy.fft.rfft(lines, workers=-1)
-        whole = scipy.fft.fft(whole, axis=-2, overwrite_x=True, workers=-1)
-    return device.array(whole.view(np.float32))
+        for part in _parts(size, rows):
+            whole[..., at[part] % rows, :] += spectra[..., part, :]
+        found = scipy.fft.fft(whole, axis=-2, overwrite_x=True, workers=-1)
+        if not np.may_share_memory(found, whole):
+            whole[:] = found
+    return _updated(device, tables, whole)
+
+
+def _updated(device, array, values):
+    """Return a device's array whose values were changed: in its own memory, if the host has that."""
+    return array if device.on_host else device.array(values.view(np.float32))
+
+
+def _parts(size, period):
+    return [slice(start, start + period) for start in range(0, size, period)]
 
 
 def tables_at_distance(made_of, period, transfers, distance, white, flat, device) -> tuple:

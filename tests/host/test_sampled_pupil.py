@@ -14,6 +14,7 @@ from gpusim.optics.otf import hopkins, transfer
 from gpusim.optics.rays import is_too_costly
 from gpusim.optics.sampled import (
     STEP,
+    difference_kernels,
     difference_tables,
     irradiance,
     sampled_kernel,
@@ -124,6 +125,22 @@ def test_two_ways_to_tables_agree(move):
     few = difference_tables(Pupil(5), wave, q, 40, 50, *settings)
     many = difference_tables(Pupil(5), wave, q, 400, 500, *settings)
     np.testing.assert_allclose(few, many[:, ::10, ::10], atol=2e-6)
+
+
+@pytest.mark.parametrize("outline", [Pupil(), Pupil(0, 0.3), Pupil(5), Pupil(6, 0.2, 0.3)])
+def test_differences_from_focus_are_kernels_near_the_point(outline):
+    """Where the window counts in full they are the two kernels' difference, but for light beyond, spread evenly."""
+    wave, q = wavefront(0.3, 3), 0.8
+    (found,) = difference_kernels(outline, wave[None], [q], (1.0, 1.0), (0.2, 0.0), 0.1, (0.1, 0.0))
+    near = np.s_[len(found) // 2 - 4 : len(found) // 2 + 5]
+    with_wave, focus = (
+        sampled_kernel(outline, one, q, (0.1, 0.0), 61, (1.0, 1.0), (0.2, 0.0), 0.1)
+        for one in (wave, np.zeros((1, 1)))
+    )
+    inner = np.s_[26:35]
+    wanted = (with_wave - focus)[inner, inner]
+    assert abs(found.sum()) < 1e-5
+    assert np.abs(found[near, near] - wanted).max() < 5e-3 * np.abs(wanted).max()
 
 
 def hexagon(waves):

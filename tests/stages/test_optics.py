@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from devices import ALL_KINDS
+from devices import ALL_KINDS, KINDS
 from scipy.integrate import dblquad
 from scipy.special import j1
 
+from gpusim.backends import open_device
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.airy_ref import otf
-from gpusim.kernels.optics.blur import blur
+from gpusim.kernels.optics.blur import blur, blur_spectra, transform
 
 
 def airy_pattern(r, q):
@@ -120,3 +121,24 @@ def test_border_rules(device):
     for border, ends in {"zero": (3.0, 3.0), "edge": (5.0, 6.0), "reflect": (5.0, 6.0)}.items():
         image = blur(row, tables, np.ones((1, 1)), border, period, device=device)
         np.testing.assert_allclose(image[0], [[ends[0], 3.0, 4.0, ends[1]]] * 2, atol=1e-5)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_transformed_planes_are_blurred_by_a_sum_of_tables(name):
+    """An even kernel's quarter plus a half: as the whole kernel, by sums in real space, wrapped at the period."""
+    random, device, period = np.random.default_rng(4), open_device(name), (24, 30)
+    planes, mix = random.random((2, 15, 20), np.float32), random.random((3, 2), np.float32)
+    even, odd = np.zeros((2, *period)), np.zeros((2, *period))
+    even[:, 0, 0], even[:, 0, [1, -1]], even[:, [2, -2], 0] = 0.5, 0.15, 0.1
+    odd[:, 1, 2], odd[:, -2, 1], odd[1, 0, 3] = 0.2, -0.1, 0.05
+    quarter = np.fft.rfft2(even).real[:, : period[0] // 2 + 1][None].astype(np.float32)
+    half = np.ascontiguousarray(np.fft.rfft2(odd)[None], np.complex64).view(np.float32)
+    spectra = transform(planes, "zero", period, device)
+    found = device.numpy(blur_spectra(spectra, (quarter, half), mix, (15, 20), period, 2, device))
+    world = np.zeros((2, *period))
+    world[:, 4:19, 5:25] = planes
+    wanted = np.zeros((3, *period))
+    for k, y, x in np.argwhere(even + odd):
+        moved = np.roll(world[k], (y, x), (0, 1))
+        wanted += (even + odd)[k, y, x] * mix[:, k, None, None] * moved
+    np.testing.assert_allclose(found, wanted[:, 6:17, 7:23], atol=3e-6)
