@@ -1,5 +1,6 @@
 """Arrays of OpenCL devices, with the interface of NumPy's, and commands: kernels with arguments."""
 
+from collections import defaultdict
 from math import prod
 
 import numpy as np
@@ -145,8 +146,43 @@ class OpenCLArray:
         return result
 
 
+class FreeMemory:
+    """Memory of arrays that were dropped, by its size [byte].
+
+    Threads may change the counts at the same time: they are made again before memory is refused.
+    """
+
+    def __init__(self):
+        self._blocks: defaultdict = defaultdict(list)
+        self._nbytes, self._count = 0, 0
+
+    def take(self, nbytes):
+        """Return memory of this size. Raises IndexError if there is none."""
+        found = self._blocks[nbytes].pop()
+        self._nbytes -= nbytes
+        self._count -= 1
+        return found
+
+    def keep(self, nbytes, memory):
+        """Keep memory for `take`, unless there is enough."""
+        if self._nbytes + nbytes > FREE_BYTES and self._count >= FREE_BLOCKS:
+            blocks = [(size, len(its)) for size, its in list(self._blocks.items())]
+            self._nbytes = sum(size * count for size, count in blocks)
+            self._count = sum(count for _, count in blocks)
+            if self._nbytes + nbytes > FREE_BYTES and self._count >= FREE_BLOCKS:
+                return
+        self._blocks[nbytes].append(memory)
+        self._nbytes += nbytes
+        self._count += 1
+
+    def clear(self):
+        """Free all memory."""
+        self._blocks.clear()
+        self._nbytes, self._count = 0, 0
+
+
 class Block:
-    """Memory that returns to its device's free list after the last reference, also of views."""
+    """Memory that returns to its device's free memory after the last reference, also of views."""
 
     def __init__(self, free, nbytes, buffer, host):
         self.free, self.nbytes, self.buffer, self.host = free, nbytes, buffer, host
@@ -155,10 +191,7 @@ class Block:
             self.__array_interface__ = host.__array_interface__
 
     def __del__(self):
-        free = [(nbytes, len(its)) for nbytes, its in list(self.free.items())]  # threads add sizes
-        held = self.nbytes + sum(nbytes * count for nbytes, count in free)
-        if held <= FREE_BYTES or sum(count for _, count in free) < FREE_BLOCKS:
-            self.free[self.nbytes].append((self.buffer, self.host))
+        self.free.keep(self.nbytes, (self.buffer, self.host))
 
 
 class Command:

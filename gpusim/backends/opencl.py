@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gpusim.backends.buffers import VECTOR, Arriving, Block, Command, OpenCLArray
+from gpusim.backends.buffers import VECTOR, Arriving, Block, Command, FreeMemory, OpenCLArray
 from gpusim.backends.caches import pocl_folder
 from gpusim.backends.device import kernel_folder
 from gpusim.backends.driver import finish, pyopencl
@@ -69,7 +69,7 @@ class OpenCLDevice(Taped):
         self._built = Programs(cl, self.context)
         # new program -> kernels and sizes of groups that have started: PoCL compiles each then
         self._started: dict[tuple, set] = {}
-        self._free: defaultdict = defaultdict(list)  # bytes -> memory for reuse
+        self._free = FreeMemory()  # for reuse
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._sent: deque = deque()  # small copies to the device that may not have ended
         self._in_flight: list = []  # host memory of queued kernels, which must outlive them
@@ -118,7 +118,7 @@ class OpenCLDevice(Taped):
         dtype = np.dtype(dtype)
         nbytes = max(prod(shape) * dtype.itemsize, 1)
         try:
-            buffer, host = self._free[nbytes].pop()
+            buffer, host = self._free.take(nbytes)
         except IndexError:
             buffer, host = self._allocate(nbytes)
         block = Block(self._free, nbytes, buffer, host)

@@ -20,7 +20,9 @@ if TYPE_CHECKING:
 
 SLOTS = 2  # one is read while the other is written
 COPIERS = 4  # threads that copy to pinned memory
-PARALLEL = 1 << 20  # [byte] that several threads copy
+STAGED = (
+    1 << 24
+)  # [byte] that threads copy faster than a driver, which copies smaller arrays itself
 
 
 class Stream(Iterator):
@@ -222,7 +224,9 @@ def _send(device, content, samples: dict, slot: dict, mark, copiers) -> dict:
         target, staged, last = slot.get((name, kind)) or (None, None, None)
         if last is not None and tuple(last.array.shape) != values.shape:
             target = staged = None
-        if not (isinstance(values, Pinned) and values.dtype == kind and values.flags.c_contiguous):
+        if isinstance(values, Pinned) or values.size * kind.itemsize < STAGED:
+            values = np.ascontiguousarray(values, kind)
+        else:
             if last is not None:
                 last.wait()  # it reads from there
             staged = device.pinned(values.shape, kind) if staged is None else staged
@@ -235,7 +239,7 @@ def _send(device, content, samples: dict, slot: dict, mark, copiers) -> dict:
 
 def _copy(target: np.ndarray, values: np.ndarray, copiers: ThreadPoolExecutor):
     """Copy values to contiguous memory by several threads."""
-    if target.nbytes < PARALLEL or not values.flags.c_contiguous:
+    if not values.flags.c_contiguous:
         np.copyto(target, values, casting="unsafe")
         return
     pairs = zip(
