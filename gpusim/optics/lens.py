@@ -448,7 +448,7 @@ class PupilLens(_OnGrid):
         if not is_too_costly(optics.pupil, waves, stages.affordable):
             return self._pupil_tables(waves, q, rows, cols, stages)
         focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
-        first, *settings = self._sampled(waves, q)
+        first, *settings = self._sampling_of(waves, q)
         other = difference_tables(*first, rows, cols, *settings)
         is_round = symmetric(optics.pupil, waves) and not any(self.displacement)
         return stages.add(focus, other, is_round)
@@ -459,10 +459,10 @@ class PupilLens(_OnGrid):
         if self._by_rays(waves) or not is_too_costly(self.optics.pupil, waves, stages.affordable):
             return None
         focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
-        first, *settings = self._sampled(waves, q)
+        first, *settings = self._sampling_of(waves, q)
         return focus, stored_difference_kernels(*first, *settings)
 
-    def _sampled(self, waves, q):
+    def _sampling_of(self, waves, q):
         """Arguments of `difference_tables`: pupil, waves and q together, and those after the period."""
         soft, shift = self.optics.diffuser / self.pitch, tuple(-np.array(self.displacement))
         return (self.optics.pupil, waves, q), self.aperture, self.spots, soft, shift

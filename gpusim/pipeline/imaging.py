@@ -447,7 +447,7 @@ class _Steps:
             around = {"border": constants.pop("border"), "period": plan.period}
             host = BY_SCIPY if self.device.on_host else ""
             chain.add(stage, around, run=transform, host=host)
-            inputs, run = [planes_, *inputs], blur_drafted
+            inputs, run = [planes_, *inputs], blur_draft
         chain.add(
             stage,
             constants,
@@ -742,7 +742,7 @@ def _plan_per_wavelength(plan: Plan, camera: Camera) -> Plan:
     )
 
 
-def blur_drafted(spectra, planes, tables, mix, period, margin, device):
+def blur_draft(spectra, planes, tables, mix, period, margin, device):
     """Return the channels of a draft from the spectra of its planes. tables: one, or a tuple whose sum counts."""
     tables = tables if isinstance(tables, tuple) else (tables,)
     return blur_spectra(spectra, tables, mix, planes.shape[1:], period, margin, device)

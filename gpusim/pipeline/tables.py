@@ -265,7 +265,7 @@ def _sum_of_parts(made_of, period, transfers, device) -> Any:
     else:
         whole.real[..., :high, :] += focus
         whole.real[..., high:, :] += focus[..., period[0] - high : 0 : -1, :]
-    return _updated(device, rest, whole)
+    return _write_back(device, rest, whole)
 
 
 def is_drafted(plan: Plan, device: Device) -> bool:
@@ -326,10 +326,10 @@ def _spectra_of_kernels(kernels, period, device):
         found = scipy.fft.fft(whole, axis=-2, overwrite_x=True, workers=-1)
         if not np.may_share_memory(found, whole):
             whole[:] = found
-    return _updated(device, tables, whole)
+    return _write_back(device, tables, whole)
 
 
-def _updated(device, array, values):
+def _write_back(device, array, values):
     """Return a device's array whose values were changed: in its own memory, if the host has that."""
     return array if device.on_host else device.array(values.view(np.float32))
 
