@@ -37,6 +37,7 @@ WIDE_TILE = 32  # [pixel] in smaller ones, kernels cost more than polynomials of
 NEAR_LINES = 3  # [pixel] on both sides of an edge between tiles, in which nearly all of a line lies
 ALONG = np.array([-1.0, 0.0, 1.0])  # places along an edge between tiles, of half its length
 COARSE_SHARE = 0.5  # of the limit: error by a coarse grid
+LITTLE = 1.05  # times an error above the limit, with it
 TILES_ACROSS = 12  # of the longer side, at least, if the blur varies over the field
 
 
@@ -151,7 +152,7 @@ def make_space(
         settings = lens, np.asarray(wavelengths), mix, room, distances[reference], basis.shape[-1]
         coarse = _error_of_split(*settings)
         both = tuple(float(np.hypot(one, coarse)) for one in error)
-        is_good = coarse <= COARSE_SHARE * limit and both[0] <= limit
+        is_good = coarse <= COARSE_SHARE * limit and both[0] <= max(limit, LITTLE * error[0])
         error, coarse = (both, coarse) if is_good else (error, None)
     return KernelSpace(
         basis,
