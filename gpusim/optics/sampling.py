@@ -300,7 +300,7 @@ def _unit_errors(optical, waves, ratio, aperture, mean, square, displacement):
     if optical is not None:
         true = optical * true
         seen = waves.fold(true if ratio == 1 else optical * _box(f))
-        seen = seen / np.real(seen[flat])  # flat fields are exact
+        seen = seen / (np.real(seen[flat]) or 1.0)  # flat fields are exact; 0: no light
     errors = []
     for means in (False, True):
         got = seen * (_box(f) if means else 1.0)

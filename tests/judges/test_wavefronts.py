@@ -111,6 +111,7 @@ def mixture(seed):
     wave = Wavefront(tuple(zernike), seidel=tuple(random.normal(0, 0.2, 5))).polynomial(
         1.0, random.uniform(0, 6)
     )
+    wave = wave.copy()
     wave[:3, :3] += random.normal(0, 0.5) * disc_power(1)
     return Pupil(0, random.choice([0.0, 0.0, 0.2, 0.5])), wave[None]
 
