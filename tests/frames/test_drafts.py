@@ -45,7 +45,12 @@ def numpy(loop):
 
 @pytest.mark.parametrize(
     ("name", "kind"),
-    [*((name, "deadleaves") for name in TURNS), ("wider", "points"), ("nearer", "points")],
+    [
+        *((name, "deadleaves") for name in TURNS if name != "ring"),
+        pytest.param("ring", "deadleaves", marks=pytest.mark.slow),
+        ("wider", "points"),
+        ("nearer", "points"),
+    ],
 )
 def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     """Leaves within twice the tolerance; points of light, which show all of a blur, a fifth as wrong as no new frame.

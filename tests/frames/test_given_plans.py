@@ -486,7 +486,7 @@ def test_pairs_and_videos_name_their_plans(tmp_path, capsys):
     [
         (None, False),
         ("video", False),
-        ("video", True),
+        pytest.param("video", True, marks=pytest.mark.slow),
         pytest.param(None, True, marks=pytest.mark.slow),
     ],
 )

@@ -103,10 +103,9 @@ def test_smooth_light_is_shown_where_it_is(device):
         assert 0 < found.plan.account.bounds["view"].rms < 3e-3
 
 
-@pytest.mark.parametrize("tolerance", [pytest.param(None, marks=pytest.mark.slow), 1e-3])
-@pytest.mark.parametrize(
-    "name", [pytest.param("deadleaves", marks=pytest.mark.slow), "slanted-edge"]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("tolerance", [None, 1e-3])
+@pytest.mark.parametrize("name", ["deadleaves", "slanted-edge"])
 def test_what_interpolation_errs_is_predicted(name, tolerance):
     """Against splines of the fifth order between the same samples, within a factor of 2.5."""
     for view, ratio in (

@@ -221,7 +221,7 @@ LIMITS = {1: 0.03, 2: 0.01, 3: 0.01}
         pytest.param(2, LENS, (0.0,) * 5, id="pinhole", marks=pytest.mark.slow),
         pytest.param(2, HEXAGON, COEFFICIENTS, id="six blades", marks=pytest.mark.slow),
         pytest.param(2, FAST, COEFFICIENTS, id="f/2", marks=pytest.mark.slow),
-        pytest.param(1, LENS, COEFFICIENTS, id="one sample a pixel"),
+        pytest.param(1, LENS, COEFFICIENTS, id="one sample a pixel", marks=pytest.mark.slow),
         pytest.param(3, LENS, COEFFICIENTS, id="three", marks=pytest.mark.slow),
     ],
 )
@@ -245,7 +245,7 @@ def test_without_depth_or_calibration_frames_are_wrong():
         assert np.abs(mean - truth).max() / 2 > 0.025
 
 
-@pytest.mark.parametrize("along", ["axis", "ray"])
+@pytest.mark.parametrize("along", [pytest.param("axis", marks=pytest.mark.slow), "ray"])
 def test_files_of_renderers(tmp_path, along):
     """An EXR with distances to the image plane (Isaac Sim, Blender) or to the camera (Mitsuba, Isaac Sim)."""
     import OpenEXR

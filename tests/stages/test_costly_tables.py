@@ -18,7 +18,9 @@ ZERNIKE = (0, 0, 0, -0.04, 0.06, 0.15, -0.157, -0.068, -0.28, 0.21, 0.001)
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 @pytest.mark.parametrize("n", [N, pytest.param(3 * N, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("displacement", [(0.0, 0.0), (0.25, -0.5)])
+@pytest.mark.parametrize(
+    "displacement", [pytest.param((0.0, 0.0), marks=pytest.mark.slow), (0.25, -0.5)]
+)
 def test_no_part_of_a_costly_table_is_lost(n, device, displacement):
     """Imaginary parts and both quadrants: a sampled pupil of 1000 points across errs by 1e-3, kernels' ends by 1e-2."""
     pupil = Pupil(obscuration=0.43)
