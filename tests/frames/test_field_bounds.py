@@ -106,9 +106,9 @@ def sum_points(light, confusion, optics, seconds):
     ("seidel", "confusion", "size"),
     [
         (MILD, 3.0, 48),
-        (MILD, -4.0, 48),
+        pytest.param(MILD, -4.0, 48, marks=pytest.mark.slow),
         (STRONG, -4.0, 48),
-        (STRONG, 3.0, 48),
+        pytest.param(STRONG, 3.0, 48, marks=pytest.mark.slow),
         ((0.2, 0.2, 0.5, -0.3, 0.2), 5.0, 64),
         pytest.param(STRONG, -4.0, 96, marks=pytest.mark.slow),
         pytest.param(STRONG, 3.0, 96, marks=pytest.mark.slow),

@@ -135,6 +135,7 @@ def judged(numbers):
     return float(np.mean(small | ((ratio < 2.5) & (ratio > 1 / 2.5))))
 
 
+@pytest.mark.slow
 def test_the_reference_sees_a_world_without_end():
     """Each border once, with a kind of scene of its own: the reference to 1e-5, each prediction within 2.5."""
     assert judged((0, 5, 10, 23)) == 1
