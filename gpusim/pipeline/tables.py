@@ -110,9 +110,8 @@ class LensTables:
             optics, *rest = made_of[0]
             focus = replace(optics, defocus=0.0, wavefront=Wavefront()), *rest
             known = None
-            if not self._lens(
-                plan
-            ).tail.lines:  # light far from a point is that of the lens in focus
+            tail = self._lens(plan).tail
+            if not tail.lines:  # far from a point the lens in focus gives the same light
                 far = plan.find(FarField)
                 known = self._cache(
                     "drafted in focus", make_tables, focus, *made_of[1:], far, self.device, True

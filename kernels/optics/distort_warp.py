@@ -76,7 +76,7 @@ def tile_place(block: int, across: int, y: int, x: int, rows: int):
     """Return grid, row and column of a work-item: a block of 256 has a tile of the frame, whose samples overlap."""
     per = (rows + TILE_ROWS - 1) // TILE_ROWS
     m = block // per
-    return wp.vec3i(m, (block - m * per) * TILE_ROWS + y, across * TILE_COLS + x)
+    return m, (block - m * per) * TILE_ROWS + y, across * TILE_COLS + x
 
 
 @wp.kernel
@@ -97,11 +97,8 @@ def cubic(
     rows: int,
     cols: int,
 ):
-    block, across, ty, tx = wp.tid()
-    own = tile_place(block, across, ty, tx, rows)
-    m = own[0]
-    y = own[1]
-    x = own[2]
+    block, across, in_y, in_x = wp.tid()
+    m, y, x = tile_place(block, across, in_y, in_x, rows)
     if y >= rows or x >= cols:
         return
     at = place(lines, m, 2 * y + 1, 2 * x + 1, nx, cols)
@@ -347,11 +344,8 @@ def limited(
     wide: int,
 ):
     # as `cubic`, of each sample's share; the rest by area, over the cubic's 4 x 4 samples
-    block, across, ty, tx = wp.tid()
-    own_place = tile_place(block, across, ty, tx, high)
-    m = own_place[0]
-    dy = own_place[1]
-    dx = own_place[2]
+    block, across, in_y, in_x = wp.tid()
+    m, dy, dx = tile_place(block, across, in_y, in_x, high)
     if dy >= high or dx >= wide:
         return
     y = top + dy

@@ -4,6 +4,7 @@ The truth is `gpusim.judge.truth`: every wavelength by itself in float64, which 
 """
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import cameras
 import numpy as np
@@ -374,6 +375,20 @@ def test_calls_share_a_plan_while_it_fits(device, monkeypatch):
     turned = met(scene_of(SPECTRA[:, ::-1], "turned"), True)
     sharp.content.values[:] = SPECTRA[:, ::-1]  # the scene of the plan itself
     np.testing.assert_array_equal(np.array(met(sharp).mean), np.array(turned.mean))
+
+
+def test_scenes_that_are_not_met_are_probed_ever_less_often():
+    """Intervals of 1, 4 and 13 scenes while their own probes confirm it; a view of the plan's content never."""
+    probing, plan, other = Probing(), SimpleNamespace(scene=even()), even("other")
+    probed = []
+    for number in range(24):
+        if probing.is_doubted(plan, other):
+            probed.append(number)
+            probing.confirm(False)
+    assert probed == [0, 4, 17]
+    probing.confirm(True)  # from then on each is looked at again
+    assert probing.is_doubted(plan, other)
+    assert not probing.is_doubted(plan, replace(plan.scene, name="view"))
 
 
 @pytest.mark.parametrize("device", KINDS)

@@ -38,6 +38,16 @@ def open_phone(device, tolerance=4e-4):
     return gs.Simulator(gs.open_camera("phone"), device=device, tolerance=tolerance)
 
 
+def repeat_loop(simulator, given):
+    """Return a loop that has made a raw frame of each scene, the last ones by repeated commands, and its plan."""
+    plan = simulator.plan(given[0])
+    loop = simulator.loop(given[0], SECONDS, plan=plan)
+    for number, scene in enumerate(given):
+        loop.update(scene=scene).raw(first=number)
+    assert loop._repeat is not None and loop._repeat.is_current
+    return loop, plan
+
+
 def host(simulator, array):
     return np.array(simulator.device.numpy(array))
 
@@ -87,10 +97,8 @@ def test_what_is_asked_for_after_a_repeated_frame_is_that_scene_s(device):
 def test_a_first_scene_again_is_not_taken_for_the_last(device):
     """The caches hold keys of the frames before the repeated ones: these must not count as equal."""
     simulator, given = open_phone(device), scenes("cube")
-    plan = simulator.plan(given[0])
-    loop = simulator.loop(given[0], SECONDS, plan=plan)
-    for number, which in enumerate((1, 2, 0, 3, 4)):  # the third is collected, two are repeated
-        loop.update(scene=given[which]).raw(first=number)
+    # the third is collected, two are repeated
+    loop, plan = repeat_loop(simulator, [given[which] for which in (1, 2, 0, 3, 4)])
     found = host(simulator, loop.update(scene=given[0]).codes(first=9))
     wanted = simulator.loop(given[0], SECONDS, plan=plan).codes(first=9)
     np.testing.assert_array_equal(found, host(simulator, wanted))
@@ -133,10 +141,7 @@ def test_a_scene_that_was_begun_but_not_exposed_is_measured_with_the_next(device
     """The view after it changes less than it did: what only the content changes must not be left out."""
     simulator, given = open_phone(device), scenes("materials")
     moved = [replace(scene, view=View(shift=(0.4, 0.1 * k))) for k, scene in enumerate(given)]
-    plan = simulator.plan(moved[0])
-    loop = simulator.loop(moved[0], SECONDS, plan=plan)
-    for number in range(5):
-        loop.update(scene=moved[number]).raw(first=number)
+    loop, plan = repeat_loop(simulator, moved)
     loop.update(scene=moved[1]).begin()
     last = replace(moved[1], view=View(shift=(0.3, 0.2)))
     found = host(simulator, loop.update(scene=last).raw(first=5))
@@ -147,10 +152,7 @@ def test_a_scene_that_was_begun_but_not_exposed_is_measured_with_the_next(device
 @pytest.mark.parametrize("device", KINDS)
 def test_values_by_name_after_a_repeated_exposure_are_that_scene_s(device):
     simulator, given = open_phone(device), scenes("cube")
-    plan = simulator.plan(given[0])
-    loop = simulator.loop(given[0], SECONDS, plan=plan)
-    for number in range(5):
-        loop.update(scene=given[number]).raw(first=number)
+    loop, plan = repeat_loop(simulator, given)
     exposure = loop.update(scene=given[1]).expose()
     one = simulator.loop(given[1], SECONDS, plan=plan)
     for found, wanted in (

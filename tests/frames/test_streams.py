@@ -251,6 +251,30 @@ def test_two_buffers_are_enough_for_a_video(apart):
     assert any((a != b).any() for a, b in pairwise(found))
 
 
+@pytest.mark.parametrize("turned", [False, True])
+def test_scenes_that_threads_copy_to_pinned_memory(turned, apart, monkeypatch):
+    """Large ones; here all. Arrays that are not contiguous, and other types, too; an array is rewritten meanwhile."""
+    scenes = cubes(7)
+    values = [
+        np.array(scene.content.values, np.float64 if turned else np.float32) for scene in scenes
+    ]
+    if turned:
+        values = [np.asfortranarray(one) for one in values]
+    simulator = gs.Simulator(CAMERA, device=apart, tolerance=1e-3)
+    wanted = taken(simulator.stream(scenes, "raw", seed=5, exposure_time=0.01), apart)
+    room = [np.empty_like(values[0]) for _ in range(2)]
+
+    def coming():
+        for number, (scene, own) in enumerate(zip(scenes, values, strict=True)):
+            room[number % 2][...] = own  # free again when the scene after the next is asked for
+            yield replace(scene, content=gs.Cube(scene.wavelengths, room[number % 2]))
+
+    monkeypatch.setattr("gpusim.pipeline.stream.STAGED", 0)
+    found = taken(simulator.stream(coming(), "raw", seed=5, exposure_time=0.01), apart)
+    for one, other in zip(found, wanted, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
 def test_refuses():
     simulator = gs.Simulator(CAMERA, device="numpy")
     with pytest.raises(UnknownName, match="output"):
