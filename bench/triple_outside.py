@@ -34,6 +34,7 @@ from gpusim.domain.errors import OutOfRange
 
 NEAREST, RINGS, FARTHEST = 40, 16, 110  # [sample] within which all light is summed; rings; the most
 BRIGHT = 100.0  # times the median: a highlight
+FARTHER = 4  # times the reach if a highlight at the picture's edge goes on without end
 NODES = 7  # Chebyshev's places along an axis for a lens that varies, and distances of a slope
 SAFE = 10  # [pixel] of the frame's rim that are not judged if the scene outside is an open question
 
@@ -219,8 +220,13 @@ def reach_of(lens, planes) -> int:
         lens.wide * FARTHEST,
     )
     # light from afar is a mean over rings: not of a highlight
-    if scene.border == "zero" or planes.max() > BRIGHT * np.median(planes):
-        return max(max(planes.shape[1:]), ceil(min(reach, farthest)))
+    bright = BRIGHT * np.median(planes)
+    if scene.border == "zero" or planes.max() > bright:
+        reach = max(max(planes.shape[1:]), ceil(min(reach, farthest)))
+        # most light then comes from afar, where rings cut off at 47 samples are 1e-3 of it
+        ends = planes[:, [0, -1]].max(), planes[:, :, [0, -1]].max()
+        goes_on = brute.GOES_ON.get(scene.border) == "nearest" and max(ends) > bright
+        return FARTHER * reach if goes_on else reach
     if reach > 1.3 * farthest:
         raise OutOfRange("spread", f"{reach:.0f} samples", f"up to {1.3 * farthest:.0f}")
     return ceil(min(reach, farthest))
