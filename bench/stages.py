@@ -4,14 +4,14 @@
 
 The rows are those from `gpusim bench`: a stage that fails its verification on the device gets no
 speed. The limits are measured in the same run: the bandwidth of a copy kernel, and multiplications
-and additions in registers (`gpusim.judge.bench.fma_gflops`). `python bench/tables.py` makes the
+and additions in registers (`gpusim.bench.stages.fma_gflops`). `python bench/tables.py` makes the
 table and the figure.
 """
 
 from results import add_size, finish, parser, ready, start
 
+from gpusim.bench.stages import bench, ceilings
 from gpusim.domain.errors import UnknownName
-from gpusim.judge.bench import bench, ceilings
 from gpusim.kernels.stage import stage_names
 
 

@@ -289,8 +289,8 @@ def record(monkeypatch):
     import gpusim.apps.preview.page
     import gpusim.apps.warmup
     import gpusim.backends.probe
+    import gpusim.bench.stages
     import gpusim.io.camera.learned
-    import gpusim.judge.bench
     import gpusim.judge.combinations
     import gpusim.judge.hard
     import gpusim.judge.pareto
@@ -342,7 +342,7 @@ def record(monkeypatch):
         (gpusim.judge.verify, "verify_devices", verified_by_name),
         (gpusim.judge.hard, "hard", hard),
         (gpusim.judge.combinations, "combinations", combined),
-        (gpusim.judge.bench, "bench", timed),
+        (gpusim.bench.stages, "bench", timed),
         (gpusim.apps.warmup, "warm_up", warmed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),

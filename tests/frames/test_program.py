@@ -248,7 +248,7 @@ def test_a_full_standard_error_stops_no_work(unbuffered, tmp_path):
 # In a fork for each command and each way that streams can be: all is imported once
 EVERY_COMMAND = """
 import io, json, os, sys
-import gpusim.backends.probe, gpusim.judge.bench, gpusim.cli.main, gpusim.judge.plan_summary
+import gpusim.backends.probe, gpusim.bench.stages, gpusim.cli.main, gpusim.judge.plan_summary
 import gpusim.pipeline.simulator, gpusim.judge.verify
 from gpusim.__main__ import start
 gpusim.backends.probe.devices = lambda refresh: [{"name": "a", "error": "no driver"}] * 9

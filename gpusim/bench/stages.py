@@ -12,7 +12,7 @@ from gpusim.backends import Device
 from gpusim.backends.probe import copy_gbps, vector_width
 from gpusim.domain.errors import DeviceError
 from gpusim.judge.verify import verify
-from gpusim.kernels.stage import public_function, stage_module, stage_names
+from gpusim.kernels.stage import make_resident, public_function, stage_module, stage_names
 
 # the reference of a full frame takes minutes; errors are measured on this size
 ERROR_SIZE = 270, 480
@@ -77,14 +77,6 @@ def fma_gflops(device: Device) -> float:
             f"{device.name}: a kernel of multiplications and additions gave other sums than it should"
         )
     return 2 * CHAINS * width * items * steps / best_ms / 1e6
-
-
-def make_resident(device: Device, inputs: dict) -> dict:
-    """Return inputs of a stage with their arrays on the device."""
-    return {
-        key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
-        for key, value in inputs.items()
-    }
 
 
 def bench(
