@@ -59,7 +59,7 @@ def pareto(request: ParetoRequest) -> int:
         print(f"{start} {row['p999_sigma']:9.2g} {row['max_sigma']:9.2g}  {row['words']}")
     write_rows(request.json, rows)
     if request.out:
-        size = f"{scene.shape[1]}x{scene.shape[0]}"
+        shape = f"{scene.shape[1]}x{scene.shape[0]}"
         with atomic_path(request.out) as temporary:
-            draw(rows, temporary, f"{scene.name} {size} by {camera.name} on {device.name}")
+            draw(rows, temporary, f"{scene.name} {shape} by {camera.name} on {device.name}")
     return 0

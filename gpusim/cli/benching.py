@@ -4,10 +4,8 @@ from collections.abc import Sequence
 
 FORMS = ("compare", "pack", "pareto")  # `gpusim bench --NAME ...` is `gpusim bench NAME ...`
 DEFAULT = "run"  # `gpusim bench` alone
-HELP = {
-    "help": "speed of every stage and of whole pipelines, verified, against the device's limits",
-    "description": "Measure, compare and pack. Without a subcommand: run.",
-}
+HELP = "speed of every stage and of whole pipelines, verified, against the device's limits"
+DESCRIPTION = f"Measure the {HELP}. Without a SUBCOMMAND: {DEFAULT}."
 
 
 def with_subcommand(argv: Sequence[str], known: Sequence[str]) -> list[str]:

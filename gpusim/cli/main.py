@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 
 from gpusim import __version__
-from gpusim.cli.benching import HELP, with_subcommand
+from gpusim.cli.benching import DESCRIPTION, HELP, with_subcommand
 from gpusim.cli.options import Options
 from gpusim.cli.progress import showing_progress
 from gpusim.domain.errors import GpusimError, one_line
@@ -101,7 +101,7 @@ def _parser(names: Iterable[str] = COMMANDS):
         options, run, texts = COMMANDS[name]
         command, _, subcommand = name.partition(" ")
         if subcommand and command not in subcommands:
-            made = commands.add_parser(command, **HELP)
+            made = commands.add_parser(command, help=HELP, description=DESCRIPTION)
             subcommands[command] = made.add_subparsers(required=True, metavar="SUBCOMMAND")
         options.add_command(subcommands.get(command, commands), subcommand or command, run, **texts)
     return parser
