@@ -8,44 +8,53 @@ import inspect
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from itertools import count, cycle
-from typing import Any
 
 import numpy as np
 
-from gpusim.backends import Device, open_device
+from gpusim.backends import Device
+from gpusim.bench import frames
+from gpusim.bench.frames import (
+    EQUAL_WHY,
+    MEAN,
+    MEAN_WHY,
+    SECONDS,
+    aberrated,
+    check_camera,
+    check_mean,
+    check_rms,
+    check_same,
+    check_truth,
+    cubes,
+    deep,
+    difference,
+    focused,
+    learned,
+    materials,
+    on_device,
+    phone,
+    surfaces,
+    to_host,
+)
 from gpusim.bench.subject import Check, Work, digest_sources, digest_values
 from gpusim.captures.burst import Burst, burst
 from gpusim.captures.capture import Capture
 from gpusim.captures.merge import merge_burst
-from gpusim.data.charts import chart
-from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
-from gpusim.domain.content import Cube
 from gpusim.domain.motion import Motion
-from gpusim.domain.scene import Scene
-from gpusim.io.camera.cameras import open_camera
-from gpusim.judge.truth import true_error
 from gpusim.kernels.common import fft
 from gpusim.kernels.stage import public_function
 from gpusim.optics.lengths import transform_lengths
 from gpusim.pipeline.simulator import Simulator
 
-SECONDS = 0.01  # exposure time
 SMALL = 96, 64  # columns and rows at which pipelines are verified
 TINY = 48, 32  # the same if the reference is slow
 VIDEO = 4e-4  # relative RMS error that a video frame may have
 PREVIEW = 1e-2  # the same of a preview's
-GAINS = np.float32(1.0), np.float32(1.01)  # of the light of two scenes that are used in turn
 ITEMS = 4  # of a batch, and frames of a burst
 PLANES = 4  # of the transforms
 DEMOSAICKERS = ("bilinear", "malvar", "adaptive", "best", "learned")
-# tests/frames/test_simulate.py: 2.4e-6 of the peak for the blur and 1e-6 for its tables
-MEAN, MEAN_WHY = 3.4e-6, "2.4e-6 of the peak by the blur, 1e-6 by its tables; the rest is smaller"
-EQUAL_WHY = "from mean electrons to digital numbers, all devices give the same bits"
-CODE_WHY = "float32 may round to either neighbour of a code"
-SAME_WHY = "a frame depends only on its scene, settings, seed and number"
 
 
 @dataclass(frozen=True)
@@ -69,175 +78,9 @@ class Pipeline:
         return self.begin(device, size)
 
     def digest(self) -> str:
-        """Return the SHA-256 of all kernels' sources, and of this module, which has the inputs."""
-        return digest_values(self.name, digest_sources(), inspect.getsource(sys.modules[__name__]))
-
-
-# ---- scenes and cameras
-
-
-@lru_cache(maxsize=1)
-def surfaces(size: tuple[int, int]) -> Scene:
-    """Return random surfaces in daylight, of some columns and rows."""
-    return chart("deadleaves", size=size)
-
-
-def cubes(size: tuple[int, int]) -> list[Scene]:
-    """Return two scenes of 31 bands each, of which one is 1 % brighter."""
-    scene = surfaces(size)
-    values = np.float32(scene.content.bands_at(slice(None)))
-    return [replace(scene, content=Cube(scene.wavelengths, values * gain)) for gain in GAINS]
-
-
-def materials(size: tuple[int, int]) -> list[Scene]:
-    """Return two scenes of materials and shading, of which one is 1 % brighter."""
-    scene = surfaces(size)
-
-    def brighten(array, gain):
-        return array if array.dtype.kind in "iu" else array * gain
-
-    contents = [scene.content.with_samples(partial(brighten, gain=gain)) for gain in GAINS]
-    return [replace(scene, content=content) for content in contents]
-
-
-def on_device(device: Device, scene: Scene) -> Scene:
-    """Return a scene with its samples on the device."""
-
-    def move(array):
-        return device.array(array, np.uint16 if array.dtype.kind in "iu" else np.float32)
-
-    return replace(scene, content=scene.content.with_samples(move))
-
-
-def _with(camera: Camera, part: str, **changes) -> Camera:
-    """Return a camera with other settings of a part."""
-    return replace(camera, **{part: replace(getattr(camera, part), **changes)})
-
-
-def _phone() -> Camera:
-    return open_camera("phone")
-
-
-def _aberrated() -> Camera:
-    """Return a phone whose lens has coma: its blur varies over the field."""
-    camera = _phone()
-    wavefront = replace(camera.optics.wavefront, seidel=(0.0, 0.4, 0.0, 0.0, 0.0))
-    return _with(camera, "optics", wavefront=wavefront)
-
-
-def _focused() -> Camera:
-    return _with(_phone(), "optics", object_distance=1.0)
-
-
-def _learned() -> Camera:
-    return _with(_phone(), "processor", demosaic="learned", scaling="normalised")
-
-
-def deep(size: tuple[int, int]) -> list[Scene]:
-    """Return the two scenes of materials on a ramp from 4 m to 0.5 m."""
-    cols, rows = size
-    depth = np.linspace(4.0, 0.5, rows, dtype=np.float32)[:, None].repeat(cols, axis=1)
-    return [replace(scene, depth=depth) for scene in materials(size)]
-
-
-# ---- checks
-
-
-def _host(device, array):
-    return np.array(device.numpy(array))
-
-
-def _difference(found, wanted):
-    """Return the largest difference of two arrays; infinite if the shapes differ."""
-    if found.shape != wanted.shape:
-        return float("inf")
-    difference = np.abs(np.asarray(found, np.float64) - np.asarray(wanted, np.float64)).max()
-    return float("inf") if np.isnan(difference) else float(difference)
-
-
-def check_camera(device: Device, camera: Camera, scene: Scene) -> Iterator[Check]:
-    """Yield the checks of one frame against the NumPy device.
-
-    Args:
-        device: The device.
-        camera: The camera.
-        scene: The scene.
-    """
-    reference = Simulator(camera, device="numpy").expose(scene, SECONDS)
-    wanted = np.asarray(reference.mean, np.float32)
-    simulator = Simulator(camera, device=device)
-    exposure = simulator.expose(scene, SECONDS)
-    error = _difference(_host(device, exposure.mean), wanted) / float(wanted.max())
-    yield Check("mean electrons against NumPy", error, MEAN, MEAN_WHY)
-    drawn = [
-        made.readout.draw_electrons(wanted, SECONDS, seed=1)
-        for made in (simulator, reference.simulator)
-    ]
-    yield Check("digital numbers against NumPy", _difference(*drawn), 0.0, EQUAL_WHY)
-    codes = _host(device, exposure.codes(device.array(drawn[1], np.uint16)))
-    error = _difference(codes, np.asarray(reference.codes(drawn[1])))
-    yield Check("display codes against NumPy", error, 1.0, CODE_WHY)
-
-
-def check_truth(device: Device, scene: Scene, tolerance: float) -> Iterator[Check]:
-    """Yield the check of the mean electrons against the float64 truth.
-
-    Args:
-        device: The device.
-        scene: The scene.
-        tolerance: Relative RMS error that is asked for.
-    """
-    allowed = Tolerance.parse(tolerance)
-    simulator = Simulator(_phone(), device=device, tolerance=allowed)
-    error = true_error(simulator, scene, simulator.expose(scene, SECONDS)).rms
-    yield Check("mean electrons against the truth", error, tolerance, "the tolerance asked for")
-
-
-def check_same(device: Device, found: Any, wanted: Any) -> Check:
-    """Return the check of a pipeline's frame against the same frame made by itself, bit for bit.
-
-    Args:
-        device: The device.
-        found: Array of the device.
-        wanted: Array of the device.
-    """
-    error = _difference(_host(device, found), _host(device, wanted))
-    return Check("frame against one made by itself", error, 0.0, SAME_WHY)
-
-
-def check_mean(device: Device, make: Callable[[Device], Any], tolerance: float, why: str) -> Check:
-    """Return the check of mean electrons against the NumPy device.
-
-    Args:
-        device: The device.
-        make: Function from a device to its array.
-        tolerance: Allowed difference over the peak.
-        why: Derivation of the tolerance.
-    """
-    reference = open_device("numpy")
-    wanted = _host(reference, make(reference))
-    error = _difference(_host(device, make(device)), wanted) / float(np.abs(wanted).max())
-    return Check("mean electrons against NumPy", error, tolerance, why)
-
-
-def check_rms(
-    device: Device, make: Callable[[], Any], exact: Callable[[], Any], tolerance: float
-) -> Check:
-    """Return the check of mean electrons with a tolerance against the NumPy device's without.
-
-    Args:
-        device: The device.
-        make: Function that returns its array.
-        exact: Function that returns the NumPy device's exact array.
-        tolerance: Relative RMS error that was asked for.
-    """
-    wanted = np.asarray(exact(), np.float64)
-    error = np.sqrt(np.mean((_host(device, make()) - wanted) ** 2) / np.mean(wanted**2))
-    case = "mean electrons with a tolerance against NumPy without"
-    return Check(case, float(error), tolerance, "the tolerance asked for")
-
-
-# ---- the pipelines
+        """Return the SHA-256 of all kernels' sources, and of the modules that have the inputs."""
+        modules = sys.modules[__name__], frames
+        return digest_values(self.name, digest_sources(), *map(inspect.getsource, modules))
 
 
 def _work(run, scenes, size, out_bytes=3) -> Work:
@@ -267,28 +110,28 @@ def _begin_loop(camera, scenes, tolerance, device, size) -> Work:
 
 def _check_still(device):
     first, second = cubes(SMALL)
-    simulator = Simulator(_phone(), device=device)
+    simulator = Simulator(phone(), device=device)
     loop = simulator.loop(first, SECONDS)
     loop.codes(seed=1)
-    found = _host(device, loop.update(scene=second).codes(seed=1, first=1))
-    yield from check_camera(device, _phone(), second)
+    found = to_host(device, loop.update(scene=second).codes(seed=1, first=1))
+    yield from check_camera(device, phone(), second)
     yield check_same(device, found, simulator.loop(second, SECONDS).codes(seed=1, first=1))
 
 
 def _begin_video(device, size):
     given = materials(size)
-    simulator = Simulator(_phone(), device=device, tolerance=VIDEO)
-    frames = simulator.stream(cycle(given), "codes", seed=1, exposure_time=SECONDS)
-    return _work(partial(next, frames), given, size)
+    simulator = Simulator(phone(), device=device, tolerance=VIDEO)
+    pictures = simulator.stream(cycle(given), "codes", seed=1, exposure_time=SECONDS)
+    return _work(partial(next, pictures), given, size)
 
 
 def _check_video(device):
     scene = surfaces(SMALL)
     yield from check_truth(device, scene, VIDEO)
-    simulator = Simulator(_phone(), device=device, tolerance=VIDEO)
+    simulator = Simulator(phone(), device=device, tolerance=VIDEO)
     plan = simulator.plan(scene, exposure_time=SECONDS)
     asked = {"seed": 1, "exposure_time": SECONDS, "plan": plan}
-    found = [_host(device, codes) for codes in simulator.stream([scene] * 2, "codes", **asked)]
+    found = [to_host(device, codes) for codes in simulator.stream([scene] * 2, "codes", **asked)]
     wanted = simulator.loop(scene, SECONDS, plan=plan).codes(seed=1, first=1)
     yield check_same(device, found[1], wanted)
 
@@ -299,14 +142,14 @@ def _hand() -> Capture:
 
 def _begin_hand_held(device, size):
     scene = on_device(device, surfaces(size))
-    loop = Simulator(_phone(), device=device).loop(scene, SECONDS, capture=_hand())
+    loop = Simulator(phone(), device=device).loop(scene, SECONDS, capture=_hand())
     numbers = count()
     return _work(lambda: loop.output("codes", seed=1, first=next(numbers)), [scene], size)
 
 
 def _check_hand_held(device):
     def make(where):
-        loop = Simulator(_phone(), device=where).loop(surfaces(SMALL), SECONDS, capture=_hand())
+        loop = Simulator(phone(), device=where).loop(surfaces(SMALL), SECONDS, capture=_hand())
         return loop.output("mean", seed=1)
 
     why = f"{MEAN_WHY}; nine views are added up with weights of sum 1"
@@ -314,7 +157,7 @@ def _check_hand_held(device):
 
 
 def _begin_noise(device, size):
-    exposure = Simulator(_phone(), device=device).expose(surfaces(size), SECONDS)
+    exposure = Simulator(phone(), device=device).expose(surfaces(size), SECONDS)
     numbers, pixels = count(), size[0] * size[1]
     # four bytes of mean electrons, two of the result
     return Work(
@@ -325,17 +168,17 @@ def _begin_noise(device, size):
 def _check_noise(device):
     means = np.linspace(0.0, 7000.0, SMALL[0] * SMALL[1], dtype=np.float32)
     drawn = [
-        Simulator(_phone(), device=where).readout.draw_electrons(
+        Simulator(phone(), device=where).readout.draw_electrons(
             means.reshape(SMALL[::-1]), SECONDS, seed=1, first=2
         )
         for where in (device, "numpy")
     ]
-    yield Check("digital numbers against NumPy", _difference(*drawn), 0.0, EQUAL_WHY)
+    yield Check("digital numbers against NumPy", difference(*drawn), 0.0, EQUAL_WHY)
 
 
 def _turned(number: int) -> Camera:
     """Return the camera of a frame while a slider moves: the f-number goes from 2 to 2.9."""
-    return _with(_phone(), "optics", f_number=2.0 + 0.1 * (number % 10))
+    return phone(f_number=2.0 + 0.1 * (number % 10))
 
 
 def _begin_preview(device, size):
@@ -365,7 +208,7 @@ def _check_preview(device):
 
 def _begin_batch(device, size):
     scene = on_device(device, surfaces(size))
-    batch = Simulator(_phone(), device=device, tolerance=VIDEO).batch(ITEMS, "codes")
+    batch = Simulator(phone(), device=device, tolerance=VIDEO).batch(ITEMS, "codes")
     numbers = count(0, ITEMS)
     gains = [1.0, 1.1, 1.2, 1.3]
 
@@ -378,8 +221,8 @@ def _begin_batch(device, size):
 
 def _check_batch(device):
     scene = surfaces(SMALL)
-    yield from check_camera(device, _phone(), scene)
-    simulator = Simulator(_phone(), device=device)
+    yield from check_camera(device, phone(), scene)
+    simulator = Simulator(phone(), device=device)
     found = simulator.batch(ITEMS, "codes")(scene, exposure_time=SECONDS, seed=1)
     yield check_same(device, found[2], simulator.loop(scene, SECONDS).codes(seed=1, first=2))
 
@@ -387,14 +230,14 @@ def _check_batch(device):
 def _check_depth(device):
     def make(where, tolerance=None):
         scene = deep(TINY)[0]
-        return Simulator(_focused(), device=where, tolerance=tolerance).expose(scene, SECONDS).mean
+        return Simulator(focused(), device=where, tolerance=tolerance).expose(scene, SECONDS).mean
 
     yield check_rms(device, lambda: make(device, VIDEO), lambda: make("numpy"), VIDEO)
 
 
 def _check_field(device):
     def make(where):
-        return Simulator(_aberrated(), device=where).expose(surfaces(SMALL), SECONDS).mean
+        return Simulator(aberrated(), device=where).expose(surfaces(SMALL), SECONDS).mean
 
     why = f"{MEAN_WHY}; each tile adds its own blurs, of the same error"
     yield check_mean(device, make, MEAN, why)
@@ -415,7 +258,7 @@ def _begin_demosaickers(device, size):
 
 def _mosaic(size):
     """Return digital numbers of random surfaces seen by a phone."""
-    simulator = Simulator(_phone(), device="numpy", tolerance=PREVIEW)
+    simulator = Simulator(phone(), device="numpy", tolerance=PREVIEW)
     scene = surfaces(SMALL)
     raw = np.asarray(simulator.expose(scene, SECONDS).raw(seed=1))
     repeats = [-(-wanted // has) for wanted, has in zip(size[::-1], raw.shape, strict=True)]
@@ -434,7 +277,7 @@ def _check_demosaickers(device):
             np.asarray(method(raw, **_demosaic_options(), device=where))
             for where in (device, "numpy")
         )
-        error = _difference(found, wanted) / max(1.0, float(np.abs(wanted).max()))
+        error = difference(found, wanted) / max(1.0, float(np.abs(wanted).max()))
         # tests/frames/test_developer.py
         why = "float32 roundings times conditions of 20 at most"
         yield Check(f"{name} against NumPy", error, 4e-5, why)
@@ -443,23 +286,23 @@ def _check_demosaickers(device):
 def _begin_burst(device, size):
     scene = on_device(device, surfaces(size))
     capture = Burst(ITEMS, merged=True)
-    loop = Simulator(_phone(), device=device, tolerance=VIDEO).loop(scene, SECONDS, capture=capture)
+    loop = Simulator(phone(), device=device, tolerance=VIDEO).loop(scene, SECONDS, capture=capture)
     numbers = count(0, ITEMS)
     return _work(lambda: loop.output("codes", seed=1, first=next(numbers)), [scene], size)
 
 
 def _check_burst(device):
-    frames = burst(Simulator(_phone(), device=device), surfaces(SMALL), ITEMS, seed=1)
+    shots = burst(Simulator(phone(), device=device), surfaces(SMALL), ITEMS, seed=1)
 
     def make(where):
-        return merge_burst(Simulator(_phone(), device=where), frames).mean
+        return merge_burst(Simulator(phone(), device=where), shots).mean
 
     why = "processor.average's: shifts agree to 2e-4 pixel"
     yield check_mean(device, make, 3e-4, why)
 
 
 def _begin_l3(device, size):
-    exposure = Simulator(_learned(), device=device, tolerance=VIDEO).expose(surfaces(size), SECONDS)
+    exposure = Simulator(learned(), device=device, tolerance=VIDEO).expose(surfaces(size), SECONDS)
     numbers, pixels = count(), size[0] * size[1]
     # four bytes of mean electrons, three of the picture
     return Work(
@@ -487,7 +330,7 @@ def _check_transforms(device):
     planes = np.random.default_rng(1).random((PLANES, *period), np.float32)
     there = device.array(planes)
     spectra = fft.forward_extended(device, there, 0, PLANES, "edge", period)
-    found = _host(device, spectra)[:, :, : period[1] // 2 + 1]
+    found = to_host(device, spectra)[:, :, : period[1] // 2 + 1]
     wanted = np.fft.rfft2(planes.astype(np.float64))
     rms = np.sqrt(np.mean(np.abs(wanted) ** 2))
     error = np.sqrt(np.mean(np.abs(found[..., 0] + 1j * found[..., 1] - wanted) ** 2)) / rms
@@ -496,7 +339,7 @@ def _check_transforms(device):
     tolerance = 5 * 2.0**-24 * float(np.log2(np.prod(period)))
     why = "5 log2 N roundings of 2^-24"
     yield Check("spectra against float64", float(error), tolerance, why)
-    back = _host(device, fft.inverse(device, spectra, period[1]))
+    back = to_host(device, fft.inverse(device, spectra, period[1]))
     error = np.sqrt(np.mean((back - planes) ** 2) / np.mean(planes**2))
     yield Check("there and back", float(error), 2 * tolerance, f"twice {why}")
 
@@ -504,7 +347,7 @@ def _check_transforms(device):
 def pipelines() -> list[Pipeline]:
     """Return the twelve pipelines."""
     return [
-        Pipeline("still", partial(_begin_loop, _phone, cubes, None), _check_still),
+        Pipeline("still", partial(_begin_loop, phone, cubes, None), _check_still),
         Pipeline("video", _begin_video, _check_video),
         Pipeline("hand-held", _begin_hand_held, _check_hand_held),
         Pipeline("noise only", _begin_noise, _check_noise),
@@ -512,12 +355,12 @@ def pipelines() -> list[Pipeline]:
         Pipeline("batch", _begin_batch, _check_batch),
         Pipeline(
             "depth",
-            partial(_begin_loop, _focused, deep, VIDEO),
+            partial(_begin_loop, focused, deep, VIDEO),
             _check_depth,
         ),
-        Pipeline("field", partial(_begin_loop, _aberrated, materials, None), _check_field),
+        Pipeline("field", partial(_begin_loop, aberrated, materials, None), _check_field),
         Pipeline("demosaickers", _begin_demosaickers, _check_demosaickers),
         Pipeline("burst", _begin_burst, _check_burst),
-        Pipeline("L3", _begin_l3, lambda device: check_camera(device, _learned(), surfaces(SMALL))),
+        Pipeline("L3", _begin_l3, lambda device: check_camera(device, learned(), surfaces(SMALL))),
         Pipeline("transforms", _begin_transforms, _check_transforms),
     ]

@@ -1,0 +1,184 @@
+"""Scenes and cameras of the pipelines, and the checks of their frames."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from gpusim.backends import Device, open_device
+from gpusim.bench.subject import Check
+from gpusim.data.charts import chart
+from gpusim.domain.account import Tolerance
+from gpusim.domain.camera import Camera
+from gpusim.domain.content import Cube
+from gpusim.domain.scene import Scene
+from gpusim.io.camera.cameras import open_camera
+from gpusim.judge.truth import true_error
+from gpusim.pipeline.simulator import Simulator
+
+SECONDS = 0.01  # exposure time
+GAINS = np.float32(1.0), np.float32(1.01)  # of the light of two scenes that are used in turn
+# tests/frames/test_simulate.py: 2.4e-6 of the peak for the blur and 1e-6 for its tables
+MEAN, MEAN_WHY = 3.4e-6, "2.4e-6 of the peak by the blur, 1e-6 by its tables; the rest is smaller"
+EQUAL_WHY = "from mean electrons to digital numbers, all devices give the same bits"
+CODE_WHY = "float32 may round to either neighbour of a code"
+SAME_WHY = "a frame depends only on its scene, settings, seed and number"
+
+
+@lru_cache(maxsize=1)
+def surfaces(size: tuple[int, int]) -> Scene:
+    """Return random surfaces in daylight, of some columns and rows."""
+    return chart("deadleaves", size=size)
+
+
+def cubes(size: tuple[int, int]) -> list[Scene]:
+    """Return two scenes of 31 bands each, of which one is 1 % brighter."""
+    scene = surfaces(size)
+    values = np.float32(scene.content.bands_at(slice(None)))
+    return [
+        replace(scene, content=Cube(scene.wavelengths, np.multiply(values, gain))) for gain in GAINS
+    ]
+
+
+def materials(size: tuple[int, int]) -> list[Scene]:
+    """Return two scenes of materials and shading, of which one is 1 % brighter."""
+    scene = surfaces(size)
+
+    def brighten(array, gain):
+        return array if array.dtype.kind in "iu" else array * gain
+
+    contents = [scene.content.with_samples(partial(brighten, gain=gain)) for gain in GAINS]
+    return [replace(scene, content=content) for content in contents]
+
+
+def on_device(device: Device, scene: Scene) -> Scene:
+    """Return a scene with its samples on the device."""
+
+    def move(array):
+        return device.array(array, np.uint16 if array.dtype.kind in "iu" else np.float32)
+
+    return replace(scene, content=scene.content.with_samples(move))
+
+
+def phone(**changes: Any) -> Camera:
+    """Return a phone. changes: keys of camera files."""
+    return open_camera("phone").with_(**changes)
+
+
+def aberrated() -> Camera:
+    """Return a phone whose lens has coma: its blur varies over the field."""
+    return phone(seidel_waves=(0.0, 0.4, 0.0, 0.0, 0.0))
+
+
+def focused() -> Camera:
+    """Return a phone that is focused at 1 m."""
+    return phone(object_distance_m=1.0)
+
+
+def learned() -> Camera:
+    """Return a phone whose processor has learned filters."""
+    return phone(demosaic="learned", scaling="normalised")
+
+
+def deep(size: tuple[int, int]) -> list[Scene]:
+    """Return the two scenes of materials on a ramp from 4 m to 0.5 m."""
+    cols, rows = size
+    depth = np.linspace(4.0, 0.5, rows, dtype=np.float32)[:, None].repeat(cols, axis=1)
+    return [replace(scene, depth=depth) for scene in materials(size)]
+
+
+def to_host(device: Device, array: Any) -> np.ndarray:
+    """Return a copy of an array that the next frame does not overwrite."""
+    return np.array(device.numpy(array))
+
+
+def difference(found: np.ndarray, wanted: np.ndarray) -> float:
+    """Return the largest difference of two arrays; infinite if the shapes differ."""
+    if found.shape != wanted.shape:
+        return float("inf")
+    largest = np.abs(np.asarray(found, np.float64) - np.asarray(wanted, np.float64)).max()
+    return float("inf") if np.isnan(largest) else float(largest)
+
+
+def check_camera(device: Device, camera: Camera, scene: Scene) -> Iterator[Check]:
+    """Yield the checks of one frame against the NumPy device.
+
+    Args:
+        device: The device.
+        camera: The camera.
+        scene: The scene.
+    """
+    reference = Simulator(camera, device="numpy").expose(scene, SECONDS)
+    wanted = np.asarray(reference.mean, np.float32)
+    simulator = Simulator(camera, device=device)
+    exposure = simulator.expose(scene, SECONDS)
+    error = difference(to_host(device, exposure.mean), wanted) / float(wanted.max())
+    yield Check("mean electrons against NumPy", error, MEAN, MEAN_WHY)
+    drawn = [
+        made.readout.draw_electrons(wanted, SECONDS, seed=1)
+        for made in (simulator, reference.simulator)
+    ]
+    yield Check("digital numbers against NumPy", difference(*drawn), 0.0, EQUAL_WHY)
+    codes = to_host(device, exposure.codes(device.array(drawn[1], np.uint16)))
+    error = difference(codes, np.asarray(reference.codes(drawn[1])))
+    yield Check("display codes against NumPy", error, 1.0, CODE_WHY)
+
+
+def check_truth(device: Device, scene: Scene, tolerance: float) -> Iterator[Check]:
+    """Yield the check of the mean electrons against the float64 truth.
+
+    Args:
+        device: The device.
+        scene: The scene.
+        tolerance: Relative RMS error that is asked for.
+    """
+    allowed = Tolerance.parse(tolerance)
+    simulator = Simulator(phone(), device=device, tolerance=allowed)
+    error = true_error(simulator, scene, simulator.expose(scene, SECONDS)).rms
+    yield Check("mean electrons against the truth", error, tolerance, "the tolerance asked for")
+
+
+def check_same(device: Device, found: Any, wanted: Any) -> Check:
+    """Return the check of a pipeline's frame against the same frame made by itself, bit for bit.
+
+    Args:
+        device: The device.
+        found: Array of the device.
+        wanted: Array of the device.
+    """
+    error = difference(to_host(device, found), to_host(device, wanted))
+    return Check("frame against one made by itself", error, 0.0, SAME_WHY)
+
+
+def check_mean(device: Device, make: Callable[[Device], Any], tolerance: float, why: str) -> Check:
+    """Return the check of mean electrons against the NumPy device.
+
+    Args:
+        device: The device.
+        make: Function from a device to its array.
+        tolerance: Allowed difference over the peak.
+        why: Derivation of the tolerance.
+    """
+    reference = open_device("numpy")
+    wanted = to_host(reference, make(reference))
+    error = difference(to_host(device, make(device)), wanted) / float(np.abs(wanted).max())
+    return Check("mean electrons against NumPy", error, tolerance, why)
+
+
+def check_rms(
+    device: Device, make: Callable[[], Any], exact: Callable[[], Any], tolerance: float
+) -> Check:
+    """Return the check of mean electrons with a tolerance against the NumPy device's without.
+
+    Args:
+        device: The device.
+        make: Function that returns its array.
+        exact: Function that returns the NumPy device's exact array.
+        tolerance: Relative RMS error that was asked for.
+    """
+    wanted = np.asarray(exact(), np.float64)
+    error = np.sqrt(np.mean((to_host(device, make()) - wanted) ** 2) / np.mean(wanted**2))
+    case = "mean electrons with a tolerance against NumPy without"
+    return Check(case, float(error), tolerance, "the tolerance asked for")
