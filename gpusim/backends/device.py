@@ -250,8 +250,8 @@ class Device:
         Args:
             run: The function.
         """
-        before = self._clock.launches
         with self.timed():
+            before = self._clock.launches
             run()
         return self._clock.launches - before
 

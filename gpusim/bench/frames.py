@@ -28,14 +28,14 @@ SAME_WHY = "a frame depends only on its scene, settings, seed and number"
 
 
 @lru_cache(maxsize=1)
-def surfaces(size: tuple[int, int]) -> Scene:
-    """Return random surfaces in daylight, of some columns and rows."""
-    return chart("deadleaves", size=size)
+def surfaces(size: tuple[int, int], bands: int = 31) -> Scene:
+    """Return random surfaces in daylight, of some columns and rows. bands: from 400 to 700 nm."""
+    return chart("deadleaves", size=size, wavelengths=np.linspace(400.0, 700.0, bands))
 
 
-def cubes(size: tuple[int, int]) -> list[Scene]:
-    """Return two scenes of 31 bands each, of which one is 1 % brighter."""
-    scene = surfaces(size)
+def cubes(size: tuple[int, int], bands: int = 31) -> list[Scene]:
+    """Return two scenes of all bands, of which one is 1 % brighter."""
+    scene = surfaces(size, bands)
     values = np.float32(scene.content.bands_at(slice(None)))
     return [
         replace(scene, content=Cube(scene.wavelengths, np.multiply(values, gain))) for gain in GAINS

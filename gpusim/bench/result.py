@@ -201,8 +201,9 @@ def sum_up(row: dict[str, Any]) -> dict[str, Any]:
 def score_rows(rows: list[dict[str, Any]]) -> dict[str, float | None]:
     """Return the score of each family of rows, and of "all".
 
-    A score is the geometric mean of `attained`: 1 means that every row takes the least time that
-    the measured limits of the device allow. A family with a row that failed its verification, or
+    A score is the geometric mean of `attained`, of each row at most 1: every row then takes the
+    least time that the measured limits of the device allow. A row beyond 1 reads from a cache, or
+    leaves out inputs of no weight, and must not make up for a slow one. A family with a row that failed its verification, or
     without a floor, has no score: a wrong answer must not raise it.
 
     Args:
@@ -214,6 +215,7 @@ def score_rows(rows: list[dict[str, Any]]) -> dict[str, float | None]:
     groups: dict[str, list] = {}
     for row in rows:
         attained = row["attained"] if row["verified"] else None
+        attained = None if attained is None else min(attained, 1.0)
         groups.setdefault(row["family"], []).append(attained)
     groups["all"] = [attained for group in groups.values() for attained in group]
     return {

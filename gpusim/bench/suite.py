@@ -104,8 +104,6 @@ def measure(
     watch = Watch(device) if watch is None else watch
     limits = ceilings(device)
     rows = begin_rows(device, subjects, sizes, verifier(device) if verify is None else verify)
-    for row in rows:
-        row.found["rounds"] = []
     _run_rounds(device, rows, rounds, seconds, limits, watch)
     return _result(device, [row.found for row in rows], limits, watch)
 
@@ -196,7 +194,7 @@ def begin_rows(
             "hash": digest_values(digests[subject], text),
             "verified": True,
         }
-        row = Row(subject, size, found | verdicts[subject])
+        row = Row(subject, size, found | verdicts[subject] | {"rounds": []})
         if not row.is_good:
             row.fail(row.found["failed"])
         rows.append(row)
@@ -275,10 +273,8 @@ def _run_row(device, row, seconds, limits, budget):
         work = row.subject.start(device, row.size) if is_new else row.work
         if is_new:
             work.run()  # built, and planned
-            work.run()  # recorded
-            device.sync()
-        if "floor_ms" not in row.found:
-            row.found |= _floor(work, device.count_launches(work.run), limits)
+            launches = device.count_launches(work.run)  # recorded
+            row.found |= _floor(work, launches, limits)
         at = time.time()
         row.found["rounds"].append({"at": at, "ms": time_work(device, work, seconds)})
     except Exception as error:  # a driver may raise anything; the other rows still run
