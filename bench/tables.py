@@ -345,7 +345,7 @@ TABLES = {
     "loops": _loops,
     "scaling": _scaling,
     "threads": _threads,
-    "compare": _peers,
+    "peers": _peers,
     "noise": _peers,
     "field": _peers,
     "fusion": _peers,

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 BENCH = Path(__file__).parents[2] / "bench"
@@ -15,6 +16,7 @@ sys.path.append(str(BENCH))
 import results  # noqa: E402
 import tables  # noqa: E402
 
+from gpusim.bench import timing  # noqa: E402
 from gpusim.domain.errors import BadFile  # noqa: E402
 from gpusim.kernels.stage import stage_module, stage_names  # noqa: E402
 
@@ -95,7 +97,7 @@ EXAMPLES = [
         ],
     ),
     result(
-        "compare",
+        "peers",
         [
             timed("SciPy", 7.0, 8.0, 9.0, error="rms 1"),
             {"name": "torch", "failed": "not installed"},
@@ -282,8 +284,8 @@ def test_against_warns_of_another_machine_in_one_line(key):
 
 
 def test_quartiles_and_ratios_are_of_the_rounds():
-    rows = results.peer_rows(
-        {"base": 2.0 * results.np.arange(1, 6), "form": results.np.full(5, 2.0)},
+    rows = timing.compare_times(
+        {"base": 2.0 * np.arange(1, 6), "form": np.full(5, 2.0)},
         {"form": "base"},
         {"form": "rms 1"},
         {"form": 2},
@@ -325,7 +327,7 @@ def test_operations_of_a_stage_grow_with_its_pixels(name):
 
 def test_rounds_alternate_and_leave_the_warm_ones_out():
     order = []
-    times = results.rounds(
+    times = timing.time_in_turns(
         {"a": lambda: order.append("a"), "b": lambda: order.append("b")}, repeat=2, warm=1
     )
     assert order == ["a", "b"] * 3 and {name: len(taken) for name, taken in times.items()} == {
@@ -360,11 +362,11 @@ def run(monkeypatch, capsys):
         ),
         ("loops.py", ("--device", "numpy", "--size", "0x0"), "size = 0 x 0"),
         ("loops.py", ("--device", "numpy", "--size", "big"), "wanted COLSxROWS"),
-        ("compare.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
+        ("noise.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
         ("scaling.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
         ("scaling.py", ("--device", "numpy", "--camera", "nix"), "unknown camera"),
         ("threads.py", ("--device", "numpy"), "an OpenCL device of the CPU"),
-        ("compare.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
+        ("noise.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
     ],
 )
 def test_mistakes_are_said_in_one_line(script, arguments, said, run):
@@ -392,7 +394,7 @@ def test_table_of_a_result_that_lacks_something_is_refused(stored):
     (stored / "loops-here.json").write_text(json.dumps(lacking))
     with pytest.raises(BadFile, match=r"loops-here.json: lacks values of its table"):
         tables.filled(
-            marks("stages", "loops", "scaling", "threads", "compare", "color"),
+            marks("stages", "loops", "scaling", "threads", "peers", "color"),
             tables.stored_results(stored),
         )
 
@@ -401,12 +403,12 @@ def test_command_writes_the_readme(stored, tmp_path):
     for name in ("stages", "scaling"):  # they have figures, which take seconds
         (stored / f"{name}-here.json").unlink()
     readme = tmp_path / "README.md"
-    readme.write_text(marks("loops", "threads", "compare", "triples", "tolerances", "color"))
+    readme.write_text(marks("loops", "threads", "peers", "triples", "tolerances", "color"))
     subprocess.run(
         [sys.executable, BENCH / "tables.py", "--results", stored, "--readme", readme], check=True
     )
     assert readme.read_text() == tables.filled(
-        marks("loops", "threads", "compare", "triples", "tolerances", "color"),
+        marks("loops", "threads", "peers", "triples", "tolerances", "color"),
         tables.stored_results(stored),
     )
 
