@@ -1,6 +1,7 @@
 """`gpusim bench peers`: whole tasks by gpusim and by other libraries."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from gpusim.cli.options import DEVICE_HELP, Options, option, size, whole
 from gpusim.domain.errors import UnknownName
@@ -66,7 +67,7 @@ def peers(request: PeersRequest) -> int:
     for warning in facts["warnings"]:
         print(f"warning: {warning}")
     if request.json:
-        told = {"bench": "peers", "device": device.name, "machine": facts}
+        told: dict[str, Any] = {"bench": "peers", "device": device.name, "machine": facts}
         told |= {"commit": commit, "dirty": dirty}
         told |= {"date": datetime.now(UTC).isoformat(timespec="seconds"), "size": size}
         told |= {"tolerance": tolerance, "repeat": repeat}
