@@ -112,7 +112,7 @@ class Watch:
             "cores": cores,
             "device": told["device"],
             "driver": told["driver"],
-            **compiler_of(self.device, told),
+            **describe_compiler(self.device, told),
             "python": platform.python_version(),
             **{name: found for name in PACKAGES if (found := _version(PACKAGES[name]))},
             "system": f"{platform.system()} {platform.release()}",
@@ -242,7 +242,7 @@ def count_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def compiler_of(device: Device, told: dict[str, Any]) -> dict[str, str]:
+def describe_compiler(device: Device, told: dict[str, Any]) -> dict[str, str]:
     """Return the compiler of a device's kernels, and its flags.
 
     Args:

@@ -203,8 +203,8 @@ def score_rows(rows: list[dict[str, Any]]) -> dict[str, float | None]:
 
     A score is the geometric mean of `attained`, of each row at most 1: every row then takes the
     least time that the measured limits of the device allow. A row beyond 1 reads from a cache, or
-    leaves out inputs of no weight, and must not make up for a slow one. A family with a row that failed its verification, or
-    without a floor, has no score: a wrong answer must not raise it.
+    leaves out inputs of no weight, and must not make up for a slow one. A family has no score with
+    a row that failed its verification, or without a floor: a wrong answer must not raise it.
 
     Args:
         rows: The rows of a result.

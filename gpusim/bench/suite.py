@@ -9,10 +9,10 @@ from typing import Any
 from gpusim.backends import Device
 from gpusim.bench.limits import ceilings
 from gpusim.bench.machine import Watch, find_commit
-from gpusim.bench.pipelines import Pipeline, pipelines
+from gpusim.bench.pipelines import Pipeline, list_pipelines
 from gpusim.bench.result import FORMAT, KIND, score_rows, sum_up
 from gpusim.bench.stages import Stage, check_stages
-from gpusim.bench.subject import Check, Work, digest_values, worst, write_size
+from gpusim.bench.subject import Check, Work, digest_values, find_worst, write_size
 from gpusim.domain.errors import BadFile, one_line
 from gpusim.domain.progress import announced
 from gpusim.judge.verify import verify_apart
@@ -32,10 +32,10 @@ Verify = Callable[[list[str]], Iterable[dict]]
 
 def all_subjects() -> list[Subject]:
     """Return every stage, in the order in which light passes them, and the twelve pipelines."""
-    return [*(Stage(name) for name in stage_names()), *pipelines()]
+    return [*(Stage(name) for name in stage_names()), *list_pipelines()]
 
 
-def verifier(device: Device) -> Verify:
+def make_verifier(device: Device) -> Verify:
     """Return the function that verifies stages of a device in a child process.
 
     A kernel that crashes fails its stage and not the run. Nothing judges the NumPy device: it is
@@ -103,7 +103,7 @@ def measure(
     """
     watch = Watch(device) if watch is None else watch
     limits = ceilings(device)
-    rows = begin_rows(device, subjects, sizes, verifier(device) if verify is None else verify)
+    rows = begin_rows(device, subjects, sizes, make_verifier(device) if verify is None else verify)
     _run_rounds(device, rows, rounds, seconds, limits, watch)
     return _result(device, [row.found for row in rows], limits, watch)
 
@@ -142,7 +142,7 @@ def append_round(
         if subject is None:
             raise BadFile(path, f"{name}: this version has no such row; run it anew with --json")
         rows.append((subject, _read_size(path, row)))
-    made = begin_rows(device, rows, None, verifier(device) if verify is None else verify)
+    made = begin_rows(device, rows, None, make_verifier(device) if verify is None else verify)
     for row in made:
         before = old[row.found["name"]]
         if row.found["hash"] != before["hash"]:
@@ -230,7 +230,7 @@ def _verdict(checks: list[Check]) -> dict:
     """Return the keys of a row by its checks."""
     if not checks:
         return _failure("nothing verified it")
-    found = worst(checks)
+    found = find_worst(checks)
     if not found.is_good:
         error = f"error {found.error:.3g}, tolerance {found.tolerance:.3g}"
         return _failure(f"{found.case}: {error} ({found.why})")

@@ -6,7 +6,7 @@ from devices import DEVICES, KINDS, apart
 
 from gpusim.backends import open_device
 from gpusim.bench import limits, suite
-from gpusim.bench.pipelines import pipelines
+from gpusim.bench.pipelines import list_pipelines
 from gpusim.bench.result import find_fault
 from gpusim.bench.stages import Stage
 from gpusim.domain.errors import DeviceError
@@ -85,7 +85,7 @@ def test_launches_are_counted(name):
             id=one.name,
             marks=[] if one.name in QUICK else pytest.mark.slow,
         )
-        for one in pipelines()
+        for one in list_pipelines()
     ],
 )
 def test_a_pipeline_is_verified_and_runs(one, name):
@@ -102,7 +102,7 @@ def test_a_pipeline_is_verified_and_runs(one, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DEVICES[:1])
 def test_a_cold_build_takes_longer_than_a_run(name):
-    from gpusim.bench.cold import cold_build_s
+    from gpusim.bench.cold import measure_cold_build
 
-    found = cold_build_s(open_device(name), ["sensor.flag", "display.encode"])
+    found = measure_cold_build(open_device(name), ["sensor.flag", "display.encode"])
     assert found is not None and found > 0.05

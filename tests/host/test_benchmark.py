@@ -14,7 +14,7 @@ from gpusim.backends import open_device
 from gpusim.backends.device import kernel_folder
 from gpusim.bench import limits, suite
 from gpusim.bench.machine import SMI, Watch
-from gpusim.bench.pipelines import Pipeline, pipelines
+from gpusim.bench.pipelines import Pipeline, list_pipelines
 from gpusim.bench.result import find_fault, read_result, score_rows, sum_up, write_result
 from gpusim.bench.stages import Stage
 from gpusim.bench.subject import Check, Work
@@ -303,7 +303,7 @@ def test_a_hash_changes_with_the_stages_files_and_the_shared_ones(tmp_path, monk
     def digests():
         subject.digest_sources.cache_clear()
         return [Stage(name).digest() for name in ("sensor.flag", "display.encode")] + [
-            pipelines()[0].digest()
+            list_pipelines()[0].digest()
         ]
 
     try:
@@ -428,7 +428,7 @@ def test_numpy_has_no_limits():
 
 
 def test_there_are_twelve_pipelines():
-    assert len({one.name for one in pipelines()}) == 12
+    assert len({one.name for one in list_pipelines()}) == 12
 
 
 # ---- the command line
@@ -506,7 +506,7 @@ def test_the_command_says_what_failed_and_warns(capsys, tmp_path, monkeypatch):
         return one | {"max_error": 1.0, "why": "planted"}
 
     monkeypatch.setattr(suite, "QUICK_SECONDS", 0.0)
-    monkeypatch.setattr(suite, "verifier", unequal)
+    monkeypatch.setattr(suite, "make_verifier", unequal)
     monkeypatch.setattr(os, "getloadavg", lambda: (900.0, 0.0, 0.0))
     options = "--device numpy --quick --size 24x16 --stage sensor.flag".split()
     assert main(["bench", *options]) == 1
