@@ -67,17 +67,17 @@ def open_phone(**changes: Any) -> Camera:
     return open_camera("phone").with_(**changes)
 
 
-def open_aberrated() -> Camera:
+def open_coma_phone() -> Camera:
     """Return a phone whose lens has coma: its blur varies over the field."""
     return open_phone(seidel_waves=(0.0, 0.4, 0.0, 0.0, 0.0))
 
 
-def open_focused() -> Camera:
+def open_near_phone() -> Camera:
     """Return a phone that is focused at 1 m."""
     return open_phone(object_distance_m=1.0)
 
 
-def open_learned() -> Camera:
+def open_l3_phone() -> Camera:
     """Return a phone whose processor has learned filters."""
     return open_phone(demosaic="learned", scaling="normalised")
 

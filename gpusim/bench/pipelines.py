@@ -31,9 +31,9 @@ from gpusim.bench.frames import (
     make_materials,
     make_surfaces,
     on_device,
-    open_aberrated,
-    open_focused,
-    open_learned,
+    open_coma_phone,
+    open_l3_phone,
+    open_near_phone,
     open_phone,
     to_host,
 )
@@ -141,7 +141,7 @@ def _hand() -> Capture:
     return Capture(motion=Motion(shake=3.0, seed=1), instants=9)
 
 
-def _begin_hand_held(device, size):
+def _begin_shaking(device, size):
     scene = on_device(device, make_surfaces(size))
     simulator = Simulator(open_phone(), device=device, tolerance=VIDEO)
     loop = simulator.loop(scene, SECONDS, capture=_hand())
@@ -149,7 +149,7 @@ def _begin_hand_held(device, size):
     return _work(lambda: loop.output("codes", seed=1, first=next(numbers)), [scene], size)
 
 
-def _check_hand_held(device):
+def _check_shaking(device):
     """The exact frame against NumPy's, and one within a tolerance against it."""
 
     def make(where, tolerance=None):
@@ -243,8 +243,8 @@ def _few_bands(size):
 def _check_depth(device):
     scene = make_deep(TINY)[0]
     found, exact = (
-        _expose(open_focused(), scene, device, VIDEO),
-        _expose(open_focused(), scene, "numpy"),
+        _expose(open_near_phone(), scene, device, VIDEO),
+        _expose(open_near_phone(), scene, "numpy"),
     )
     yield check_rms(found, exact, VIDEO)
 
@@ -257,7 +257,7 @@ def _expose(camera, scene, device, tolerance=None):
 
 def _check_field(device):
     found, exact = (
-        _expose(open_aberrated(), make_surfaces(SMALL), where) for where in (device, "numpy")
+        _expose(open_coma_phone(), make_surfaces(SMALL), where) for where in (device, "numpy")
     )
     yield check_mean(found, exact, MEAN, f"{MEAN_WHY}; tiles add their own blurs, as exact")
 
@@ -323,7 +323,7 @@ def _check_burst(device):
 
 
 def _begin_l3(device, size):
-    exposure = Simulator(open_learned(), device=device, tolerance=VIDEO).expose(
+    exposure = Simulator(open_l3_phone(), device=device, tolerance=VIDEO).expose(
         make_surfaces(size), SECONDS
     )
     numbers, pixels = count(), size[0] * size[1]
@@ -371,22 +371,22 @@ def list_pipelines() -> list[Pipeline]:
     return [
         Pipeline("still", partial(_begin_loop, open_phone, make_cubes, None), _check_still),
         Pipeline("video", _begin_video, _check_video),
-        Pipeline("hand-held", _begin_hand_held, _check_hand_held),
+        Pipeline("hand-held", _begin_shaking, _check_shaking),
         Pipeline("noise only", _begin_noise, _check_noise),
         Pipeline("preview slider", _begin_preview, _check_preview),
         Pipeline("batch", _begin_batch, _check_batch),
         Pipeline(
             "depth",
-            partial(_begin_loop, open_focused, make_deep, VIDEO),
+            partial(_begin_loop, open_near_phone, make_deep, VIDEO),
             _check_depth,
         ),
-        Pipeline("field", partial(_begin_loop, open_aberrated, _few_bands, None), _check_field),
+        Pipeline("field", partial(_begin_loop, open_coma_phone, _few_bands, None), _check_field),
         Pipeline("demosaickers", _begin_demosaickers, _check_demosaickers),
         Pipeline("burst", _begin_burst, _check_burst),
         Pipeline(
             "L3",
             _begin_l3,
-            lambda device: check_camera(device, open_learned(), make_surfaces(SMALL)),
+            lambda device: check_camera(device, open_l3_phone(), make_surfaces(SMALL)),
         ),
         Pipeline("transforms", _begin_transforms, _check_transforms),
     ]

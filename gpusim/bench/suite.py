@@ -210,8 +210,7 @@ def verify_subjects(device: Device, subjects: list[Subject], verify: Verify) -> 
         verify: Verifies stages.
     """
     names = [subject.name for subject in subjects if isinstance(subject, Stage)]
-    with announced(f"verifying {len(names)} stages"):
-        checks = check_stages(names, verify) if names else {}
+    checks = check_stages(names, verify) if names else {}
     found = {}
     for subject in subjects:
         with announced(f"verifying {subject.name}"):
