@@ -22,6 +22,8 @@ SECONDS = 0.01  # exposure time
 GAINS = np.float32(1.0), np.float32(1.01)  # of the light of two scenes that are used in turn
 # tests/frames/test_simulate.py: 2.4e-6 of the peak for the blur and 1e-6 for its tables
 MEAN, MEAN_WHY = 3.4e-6, "2.4e-6 of the peak by the blur, 1e-6 by its tables; the rest is smaller"
+# kernels/optics/sample.py, of four taps
+MOVED, MOVED_WHY = MEAN + 7.2e-6, f"{MEAN_WHY}; 7.2e-6 by the four taps that move samples"
 EQUAL_WHY = "from mean electrons to digital numbers, all devices give the same bits"
 CODE_WHY = "float32 may round to either neighbour of a code"
 SAME_WHY = "a frame depends only on its scene, settings, seed and number"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import count, cycle
+from math import prod
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from gpusim.bench.frames import (
     EQUAL_WHY,
     MEAN,
     MEAN_WHY,
+    MOVED,
+    MOVED_WHY,
     SECONDS,
     check_camera,
     check_mean,
@@ -39,12 +42,11 @@ from gpusim.bench.frames import (
 )
 from gpusim.bench.subject import Check, Work, digest_sources, digest_values
 from gpusim.captures.burst import Burst, burst
-from gpusim.captures.capture import Capture
 from gpusim.captures.merge import merge_burst
 from gpusim.domain.camera import Camera
 from gpusim.domain.motion import Motion
 from gpusim.kernels.common import fft
-from gpusim.kernels.stage import public_function
+from gpusim.kernels.stage import dtype_name, public_function
 from gpusim.optics.lengths import transform_lengths
 from gpusim.pipeline.simulator import Simulator
 
@@ -55,6 +57,8 @@ PREVIEW = 1e-2  # the same of a preview's
 ITEMS = 4  # of a batch, and frames of a burst
 PLANES = 4  # of the transforms
 FIELD_BANDS = 7
+HAND, FPS = Motion(shake=3.0, seed=1), 30
+KEPT_BYTES = 160  # of a pixel in a loop: about forty planes of float32
 DEMOSAICKERS = ("bilinear", "malvar", "adaptive", "best", "learned")
 
 
@@ -86,15 +90,16 @@ class Pipeline:
 
 def _work(run, scenes, size, out_bytes=3) -> Work:
     """Return the work of a frame. out_bytes: bytes of the output for a pixel."""
-    kept = sum(_samples(scene) for scene in scenes)
+    kept = sum(_samples(scene) for scene in scenes) + KEPT_BYTES * size[0] * size[1]
     moved = _samples(scenes[0]) + out_bytes * size[0] * size[1]
     return Work(run, moved, None, kept, is_wall=True)
 
 
 def _samples(scene) -> int:
     """Return the bytes of a scene's samples."""
-    content = scene.content
-    return sum(int(getattr(content, name).nbytes) for name in content.samples)
+    arrays = [getattr(scene.content, name) for name in scene.content.samples]
+    # Warp's arrays have no size in bytes
+    return sum(prod(array.shape) * np.dtype(dtype_name(array)).itemsize for array in arrays)
 
 
 def _begin_loop(camera, scenes, tolerance, device, size) -> Work:
@@ -137,29 +142,29 @@ def _check_video(device):
     yield check_same(device, found[1], wanted)
 
 
-def _hand() -> Capture:
-    return Capture(motion=Motion(shake=3.0, seed=1), instants=9)
+def _shake(scene, number):
+    """Return a scene as a shaking camera sees it in a frame of a video."""
+    return scene.viewed(HAND.at(number / FPS))
 
 
 def _begin_shaking(device, size):
     scene = on_device(device, make_surfaces(size))
-    simulator = Simulator(open_phone(), device=device, tolerance=VIDEO)
-    loop = simulator.loop(scene, SECONDS, capture=_hand())
+    loop = Simulator(open_phone(), device=device, tolerance=VIDEO).loop(scene, SECONDS)
     numbers = count()
-    return _work(lambda: loop.output("codes", seed=1, first=next(numbers)), [scene], size)
+
+    def run():
+        number = next(numbers)
+        return loop.update(scene=_shake(scene, number)).codes(seed=1, first=number)
+
+    return _work(run, [scene], size)
 
 
 def _check_shaking(device):
     """The exact frame against NumPy's, and one within a tolerance against it."""
-
-    def make(where, tolerance=None):
-        simulator = Simulator(open_phone(), device=where, tolerance=tolerance)
-        loop = simulator.loop(make_surfaces(SMALL), SECONDS, capture=_hand())
-        return to_host(simulator.device, loop.output("mean", seed=1))
-
-    exact = make("numpy")
-    yield check_mean(make(device), exact, MEAN, f"{MEAN_WHY}; weights of views have the sum 1")
-    yield check_rms(make(device, VIDEO), exact, VIDEO)
+    scene = _shake(make_surfaces(SMALL), 5)
+    exact = _expose(open_phone(), scene, "numpy")
+    yield check_mean(_expose(open_phone(), scene, device), exact, MOVED, MOVED_WHY)
+    yield check_rms(_expose(open_phone(), scene, device, VIDEO), exact, VIDEO)
 
 
 def _begin_noise(device, size):
