@@ -37,7 +37,7 @@ def ceilings(device: Device) -> dict[str, float | None]:
         copies nothing to or from itself. Warp's CPU device has no local memory.
 
     Raises:
-        DeviceError: A kernel that measures gives wrong results.
+        DeviceError: A kernel that measures gives wrong results, or the device's clock no times.
     """
     found: dict[str, float | None] = dict.fromkeys(LIMITS)
     if device.kind == "numpy":
@@ -193,6 +193,8 @@ def _best_ms(device, run):
         with device.timed() as ms:
             run()
         best = min(best, sum(ms.values()))
+    if best <= 0:
+        raise DeviceError(f"{device.name}: its clock gives no time; check the driver")
     return best
 
 

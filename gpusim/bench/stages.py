@@ -51,7 +51,9 @@ class Stage:
         def run():
             return function(**resident, device=device)
 
-        return Work(run, moved + size_of_result, operations, moved, is_wall=False)
+        moved += size_of_result
+        # arrays between its kernels take about as much as its inputs and results
+        return Work(run, moved, operations, 2 * moved, is_wall=False)
 
     def digest(self) -> str:
         """Return the SHA-256 of its kernels' sources, of all shared ones, and of its inputs."""

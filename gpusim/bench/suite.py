@@ -4,6 +4,7 @@ import datetime
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from gpusim.backends import Device
@@ -13,7 +14,7 @@ from gpusim.bench.pipelines import Pipeline, list_pipelines
 from gpusim.bench.result import FORMAT, KIND, score_rows, sum_up
 from gpusim.bench.stages import Stage, check_stages
 from gpusim.bench.subject import Check, Work, digest_values, find_worst, write_size
-from gpusim.domain.errors import BadFile, one_line
+from gpusim.domain.errors import BadFile, DeviceError, one_line
 from gpusim.domain.progress import announced
 from gpusim.judge.verify import verify_apart
 from gpusim.kernels.stage import stage_names
@@ -23,7 +24,7 @@ QUICK_SIZES = ((1280, 720),)
 ROUNDS = 3
 SECONDS, QUICK_SECONDS = 0.4, 0.1  # of the repetitions of a row in a round
 LEAST, MOST = 3, 1000  # repetitions in a round; a slow row has one
-KEPT = 0.25  # of the device's free memory, for rows that need not be prepared again
+KEPT = 0.15  # of the device's free memory, for rows that need not be prepared again
 PLACE = "cpu", "cores", "device", "driver", "compiler"  # of a machine: keys that affect times
 Subject = Stage | Pipeline
 # function from names of stages to the rows of `gpusim.judge.verify.verify`
@@ -130,8 +131,8 @@ def append_round(
         watch: Watches the machine; None begins now.
 
     Raises:
-        BadFile: The result is of another device, of other kernels or inputs, or of rows that this
-            version does not know.
+        BadFile: The result is of another device, machine or commit, of other kernels or inputs, or
+            of rows that this version does not know.
     """
     watch = Watch(device) if watch is None else watch
     _check_place(stored, path, device, watch.facts())
@@ -141,15 +142,15 @@ def append_round(
         subject = known.get(name.rpartition(" ")[0])
         if subject is None:
             raise BadFile(path, f"{name}: this version has no such row; run it anew with --json")
-        rows.append((subject, _read_size(path, row)))
+        size = _read_size(path, row)
+        if _digest(subject, size) != row["hash"]:
+            raise BadFile(
+                path, f"{name}: is of other kernels or inputs than these; run it anew with --json"
+            )
+        rows.append((subject, size))
     made = begin_rows(device, rows, None, make_verifier(device) if verify is None else verify)
     for row in made:
         before = old[row.found["name"]]
-        if row.found["hash"] != before["hash"]:
-            raise BadFile(
-                path,
-                f"{row.found['name']}: is of other kernels or inputs than these; run it anew with --json",
-            )
         if not before["verified"]:
             row.fail(before["failed"])
         elif row.is_good:
@@ -182,7 +183,6 @@ def begin_rows(
         pairs = [(subject, size) for size in sizes for subject in pairs]
     unique = list(dict.fromkeys(subject for subject, _ in pairs))
     verdicts = verify_subjects(device, unique, verify)
-    digests = {subject: subject.digest() for subject in unique}
     rows = []
     for subject, size in pairs:
         text = write_size(size)
@@ -191,7 +191,7 @@ def begin_rows(
             "kind": subject.kind,
             "family": subject.family,
             "size": text,
-            "hash": digest_values(digests[subject], text),
+            "hash": _digest(subject, size),
             "verified": True,
         }
         row = Row(subject, size, found | verdicts[subject] | {"rounds": []})
@@ -199,6 +199,12 @@ def begin_rows(
             row.fail(row.found["failed"])
         rows.append(row)
     return rows
+
+
+@lru_cache(maxsize=512)
+def _digest(subject, size):
+    """Return the SHA-256 of a row's sources and inputs."""
+    return digest_values(subject.digest(), write_size(size))
 
 
 def verify_subjects(device: Device, subjects: list[Subject], verify: Verify) -> dict:
@@ -292,6 +298,9 @@ def time_work(device: Device, work: Work, seconds: float) -> list[float]:
         device: The device.
         work: The work, which has run before.
         seconds: Time for all repetitions [s]. One repetition is enough if it takes longer.
+
+    Raises:
+        DeviceError: The device's clock does not run.
     """
     begin = time.perf_counter()
     while device.is_gpu and time.perf_counter() < begin + seconds / 4:
@@ -309,6 +318,8 @@ def time_work(device: Device, work: Work, seconds: float) -> list[float]:
             with device.timed() as ms:
                 work.run()
             times.append(sum(ms.values()))
+        if times[-1] <= 0:
+            raise DeviceError(f"{device.name}: its clock gives no time")
         now = time.perf_counter()
         if now - begin >= seconds and (len(times) >= LEAST or now - started > seconds):
             break
@@ -350,9 +361,12 @@ def _result(device, rows, limits, watch):
 
 
 def _check_place(stored, path, device, facts):
-    """Raise BadFile unless a result is of this device and machine."""
+    """Raise BadFile unless a result is of this device, machine and commit."""
     if stored["device"] != device.name:
         raise BadFile(path, f"is of device {stored['device']}, not of {device.name}")
+    commit, _ = find_commit()
+    if stored["commit"] != commit:
+        raise BadFile(path, f"is of commit {stored['commit']}, not of {commit}")
     for key in PLACE:
         if stored["machine"].get(key) != facts[key]:
             raise BadFile(

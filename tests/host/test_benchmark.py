@@ -20,7 +20,7 @@ from gpusim.bench.stages import Stage
 from gpusim.bench.subject import Check, Work
 from gpusim.cli.benching import with_subcommand
 from gpusim.cli.main import main
-from gpusim.domain.errors import BadFile
+from gpusim.domain.errors import BadFile, DeviceError
 
 SIZE = (24, 16)
 LIMITS = dict.fromkeys(
@@ -248,6 +248,12 @@ def test_repetitions_are_few_for_slow_rows_and_at_least_three_for_fast_ones(monk
     assert suite.time_work(device, takes(0.0625), 0.25) == pytest.approx([62.5] * 4)
 
 
+def test_a_clock_that_stands_is_no_time(monkeypatch):
+    monkeypatch.setattr(suite.time, "perf_counter", lambda: 0.0)
+    with pytest.raises(DeviceError, match="its clock gives no time"):
+        suite.time_work(open_device("numpy"), Work(lambda: None, 0, None, 0, True), 0.0)
+
+
 # ---- one more round
 
 
@@ -278,6 +284,7 @@ def test_append_adds_a_round_to_every_row(stored):
     ("change", "said"),
     [
         (setting("device", value="opencl:9"), "is of device opencl:9, not of numpy"),
+        (setting("commit", value="abc"), "is of commit abc, not of "),
         (setting("machine", "driver", value="b"), "is of another machine: driver 'b'"),
         (setting("rows", 0, "hash", value="b"), "is of other kernels or inputs than these"),
         (setting("rows", 0, "name", value="optics.gone 24x16"), "this version has no such row"),
