@@ -57,6 +57,19 @@ def ceilings(device: Device) -> dict[str, float | None]:
     return found
 
 
+def choose_best(*measured: dict[str, float | None]) -> dict[str, float | None]:
+    """Return the best of each limit: the largest rate, the least time.
+
+    Args:
+        measured: Results of `ceilings` of one device.
+    """
+    best = {}
+    for name, first in measured[0].items():
+        values = [value for one in measured if (value := one[name]) is not None]
+        best[name] = first if not values else min(values) if name == "launch_us" else max(values)
+    return best
+
+
 def fma_gflops(device: Device) -> float:
     """Return the measured float32 throughput [GFLOP/s], the best of ten.
 

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any
 
 from gpusim.backends import Device
-from gpusim.bench.limits import ceilings
+from gpusim.bench.limits import ceilings, choose_best
 from gpusim.bench.machine import Watch, find_commit
 from gpusim.bench.pipelines import Pipeline, list_pipelines
 from gpusim.bench.result import FORMAT, KIND, score_rows, sum_up
@@ -105,8 +105,9 @@ def measure(
     watch = Watch(device) if watch is None else watch
     limits = ceilings(device)
     rows = begin_rows(device, subjects, sizes, make_verifier(device) if verify is None else verify)
-    _run_rounds(device, rows, rounds, seconds, limits, watch)
-    return _result(device, [row.found for row in rows], limits, watch)
+    _run_rounds(device, rows, rounds, seconds, watch)
+    limits = choose_best(limits, ceilings(device))  # other work may have disturbed the first ones
+    return _result(device, rows, limits, watch)
 
 
 def append_round(
@@ -157,8 +158,8 @@ def append_round(
             row.found["rounds"] = list(before["rounds"])
     if seconds is None:
         seconds = QUICK_SECONDS if stored["quick"] else SECONDS
-    _run_rounds(device, made, 1, seconds, stored["limits"], watch)
-    result = _result(device, [row.found for row in made], stored["limits"], watch)
+    _run_rounds(device, made, 1, seconds, watch)
+    result = _result(device, made, stored["limits"], watch)
     warnings = dict.fromkeys([*stored["machine"]["warnings"], *result["machine"]["warnings"]])
     result["machine"]["warnings"] = list(warnings)
     return result | {key: stored[key] for key in ("cold_build_s", "quick")}
@@ -252,7 +253,7 @@ def _failure(reason):
     return {"verified": False, "failed": reason}
 
 
-def _run_rounds(device, rows, rounds, seconds, limits, watch):
+def _run_rounds(device, rows, rounds, seconds, watch):
     """Time all rows once per round, one after the other."""
     budget, done, begin = KEPT * device.memory, 0, time.perf_counter()
     total = rounds * len(rows)
@@ -263,15 +264,12 @@ def _run_rounds(device, rows, rounds, seconds, limits, watch):
                 words = f"round {number} of {rounds}, row {place} of {len(rows)}"
                 words += f", about {left:.0f} s left" if left else ""
                 with announced(f"{words}: {row.found['name']}"):
-                    budget = _run_row(device, row, seconds, limits, budget)
+                    budget = _run_row(device, row, seconds, budget)
             done += 1
         watch.sample()
-    for row in rows:
-        if row.is_good:
-            row.found = sum_up(row.found)
 
 
-def _run_row(device, row, seconds, limits, budget):
+def _run_row(device, row, seconds, budget):
     """Time a row, keep its work if there is room, and return the bytes of room that are left."""
     is_new = row.work is None
     try:
@@ -279,7 +277,8 @@ def _run_row(device, row, seconds, limits, budget):
         if is_new:
             work.run()  # built, and planned
             launches = device.count_launches(work.run)  # recorded
-            row.found |= _floor(work, launches, limits)
+            counts = {"bytes": work.moved, "operations": work.operations, "launches": launches}
+            row.found |= counts
         at = time.time()
         row.found["rounds"].append({"at": at, "ms": time_work(device, work, seconds)})
     except Exception as error:  # a driver may raise anything; the other rows still run
@@ -326,23 +325,32 @@ def time_work(device: Device, work: Work, seconds: float) -> list[float]:
     return times
 
 
-def _floor(work, launches, limits):
-    """Return bytes, operations and launches of a row, and the least time for them."""
-    counts = {"bytes": work.moved, "operations": work.operations, "launches": launches}
-    if limits["copy_gbps"] is None:
-        return {**counts, "floor_ms": None, "bound": None}
+def find_floor(row: dict[str, Any], limits: dict[str, float | None]) -> dict[str, Any]:
+    """Return floor_ms, the least time for a row within the limits, and bound, the limit that sets it.
+
+    Args:
+        row: A row with bytes, operations (or None) and launches.
+        limits: The limits of the device. Without them both are None.
+    """
+    copy, fma, launch = (limits[key] for key in ("copy_gbps", "fma_gflops", "launch_us"))
+    if copy is None or fma is None or launch is None:
+        return {"floor_ms": None, "bound": None}
     parts = {
-        "memory": work.moved / limits["copy_gbps"] / 1e6,
-        "arithmetic": (work.operations or 0) / limits["fma_gflops"] / 1e6,
-        "launches": launches * limits["launch_us"] / 1e3,
+        "memory": row["bytes"] / copy / 1e6,
+        "arithmetic": (row["operations"] or 0) / fma / 1e6,
+        "launches": row["launches"] * launch / 1e3,
     }
     bound = max(parts, key=lambda name: parts[name])
-    return {**counts, "floor_ms": parts[bound], "bound": bound}
+    return {"floor_ms": parts[bound], "bound": bound}
 
 
-def _result(device, rows, limits, watch):
-    """Return the result of rows."""
+def _result(device, measured, limits, watch):
+    """Return the result of measured rows."""
     commit, is_dirty = find_commit()
+    rows = [
+        sum_up(row.found | find_floor(row.found, limits)) if row.is_good else row.found
+        for row in measured
+    ]
     return {
         "bench": KIND,
         "format": FORMAT,

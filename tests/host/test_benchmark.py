@@ -182,10 +182,18 @@ def test_percentiles_are_of_all_repetitions():
     ],
 )
 def test_the_floor_is_the_largest_of_three(moved, operations, launches, floor, bound):
-    work = Work(lambda: None, moved, operations, 0, True)
     measured = LIMITS | {"copy_gbps": 2.0, "fma_gflops": 10.0, "launch_us": 5.0}
-    found = suite._floor(work, launches, measured)
-    assert (found["floor_ms"], found["bound"]) == (pytest.approx(floor), bound)
+    counts = {"bytes": moved, "operations": operations, "launches": launches}
+    found = suite.find_floor(counts, measured)
+    assert found == {"floor_ms": pytest.approx(floor), "bound": bound}
+    assert suite.find_floor(counts, dict.fromkeys(LIMITS))["floor_ms"] is None
+
+
+def test_the_best_of_limits_are_the_largest_rates_and_the_least_time():
+    first = LIMITS | {"copy_gbps": 2.0, "launch_us": 5.0, "upload_gbps": None}
+    second = LIMITS | {"copy_gbps": 3.0, "launch_us": 4.0, "upload_gbps": None}
+    assert limits.choose_best(first, second) == second
+    assert limits.choose_best(second, first) == second
 
 
 # ---- runs
