@@ -220,24 +220,26 @@ def _check_preview(device):
 
 
 def _begin_batch(device, size):
-    scene = on_device(device, make_surfaces(size))
+    given = [on_device(device, scene) for scene in make_materials(size)]
     batch = Simulator(open_phone(), device=device, tolerance=VIDEO).batch(ITEMS, "codes")
-    numbers = count(0, ITEMS)
-    gains = [1.0, 1.1, 1.2, 1.3]
+    numbers, pairs = count(0, ITEMS), cycle([given, given[::-1]])
 
     def run():
-        return batch(scene, exposure_time=SECONDS, gain=gains, seed=1, first=next(numbers))
+        scenes = next(pairs) * (ITEMS // 2)
+        return batch(scenes, exposure_time=SECONDS, seed=1, first=next(numbers))
 
-    work = _work(run, [scene], size)
-    return replace(work, moved=work.moved + 3 * (ITEMS - 1) * size[0] * size[1])
+    work = _work(run, given, size)
+    return replace(work, moved=ITEMS * work.moved, nbytes=ITEMS * work.nbytes)
 
 
 def _check_batch(device):
-    scene = make_surfaces(SMALL)
-    yield from check_camera(device, open_phone(), scene)
+    scenes = make_materials(SMALL)
+    yield from check_camera(device, open_phone(), scenes[1])
     simulator = Simulator(open_phone(), device=device)
-    found = simulator.batch(ITEMS, "codes")(scene, exposure_time=SECONDS, seed=1)
-    yield check_same(device, found[2], simulator.loop(scene, SECONDS).codes(seed=1, first=2))
+    batch = simulator.batch(ITEMS, "codes")
+    batch(scenes[::-1] * 2, exposure_time=SECONDS)
+    found = batch(scenes * 2, exposure_time=SECONDS, seed=1)
+    yield check_same(device, found[3], simulator.loop(scenes[1], SECONDS).codes(seed=1, first=3))
 
 
 def _few_bands(size):
