@@ -52,6 +52,13 @@ def test_local_memory_is_read_as_it_was_written(monkeypatch):
         assert limits.local_gbps(device) > 0
 
 
+@pytest.mark.skipif(not DEVICES or not DEVICES[0].startswith("opencl"), reason="no OpenCL device")
+def test_a_device_with_its_own_memory_has_rates_of_copies(monkeypatch):
+    monkeypatch.setattr(limits, "TRANSFER_BYTES", 2**16)
+    device = apart()
+    assert limits.upload_gbps(device) > 0 and limits.download_gbps(device) > 0
+
+
 @pytest.mark.parametrize("name", DEVICES)
 def test_a_wrong_sum_is_no_limit(name, monkeypatch):
     device = open_device(name)
