@@ -15,9 +15,10 @@ from functools import partial
 
 import numpy as np
 from baseline import noise as by_numpy
-from results import add_repeat, add_size, compared, parser, ready, resident, start
+from results import add_repeat, add_size, compared, parser, ready, start
 
 from gpusim.kernels.sensor import chip, noise
+from gpusim.kernels.stage import make_resident
 
 BATCH = 16
 
@@ -25,8 +26,8 @@ BATCH = 16
 def forms(device, rows, cols):
     """Return name -> (function, number of frames it draws)."""
     full = noise.bench(rows, cols)
-    mean, own = full["expected"], resident(device, chip.bench(rows, cols))
-    full = resident(device, full)
+    mean, own = full["expected"], make_resident(device, chip.bench(rows, cols))
+    full = make_resident(device, full)
     plain = {
         name: value
         for name, value in full.items()

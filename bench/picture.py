@@ -29,13 +29,12 @@ from results import (
     parser,
     quartiles,
     ready,
-    resident,
     show,
     start,
 )
 
 from gpusim.domain.errors import BadData
-from gpusim.kernels.stage import public_function, stage_module
+from gpusim.kernels.stage import make_resident, public_function, stage_module
 
 SIZE = 1080, 1920
 STAGES = ("processor.bilinear", "processor.color", "display.encode", "processor.develop")
@@ -215,7 +214,7 @@ def ours(device):
 
 
 def _frame(device, name, inputs):
-    inputs = resident(device, inputs)
+    inputs = make_resident(device, inputs)
 
     def run():
         public_function(name)(**inputs, device=device)

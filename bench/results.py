@@ -375,14 +375,6 @@ class Tables:
         print("  ", " | ".join((name, *cells)), flush=True)
 
 
-def resident(device, inputs: dict) -> dict:
-    """Return a stage's inputs with their arrays on the device."""
-    return {
-        key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
-        for key, value in inputs.items()
-    }
-
-
 def in_process(module: str, settings: dict, environment: dict | None = None) -> dict:
     """Return the dict from `one(**settings)` of a module here, run in a separate process.
 

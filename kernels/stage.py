@@ -243,6 +243,22 @@ def public_function(name: str) -> Callable:
     return getattr(stage_module(name), name.rpartition(".")[2])
 
 
+def make_resident(device: Device, inputs: dict[str, Any]) -> dict[str, Any]:
+    """Return inputs of a stage with their arrays on the device.
+
+    Args:
+        device: The device.
+        inputs: Arguments of a stage's public function by name.
+
+    Returns:
+        The same arguments, each NumPy array copied to the device in its own type.
+    """
+    return {
+        key: device.array(value, value.dtype) if isinstance(value, np.ndarray) else value
+        for key, value in inputs.items()
+    }
+
+
 def compare(name: str, device: Device) -> Iterator[tuple[Case, float]]:
     """Run every case of a stage on `device`.
 

@@ -36,7 +36,7 @@ class _Clock(threading.local):
     """Times of one thread on a device.
 
     times: milliseconds per stage, or None. charged: stage that is charged. events: not read yet.
-    host_work: whether the thread is working on the host.
+    host_work: whether the thread is working on the host. launches: kernels and copies that were timed.
     """
 
     def __init__(self):
@@ -44,6 +44,7 @@ class _Clock(threading.local):
         self.charged = ""
         self.events: list = []
         self.host_work = False
+        self.launches = 0
 
 
 class Device:
@@ -240,6 +241,19 @@ class Device:
 
     def _collect(self, clock):
         """Add the device's event times to `clock.times`."""
+
+    def count_launches(self, run: Callable[[], Any]) -> int:
+        """Return how many kernels and copies between arrays a function starts in this thread.
+
+        A grid that is split into several launches counts as these.
+
+        Args:
+            run: The function.
+        """
+        with self.timed():
+            before = self._clock.launches
+            run()
+        return self._clock.launches - before
 
     @contextmanager
     def charged(self, stage: str) -> Iterator[None]:

@@ -34,6 +34,7 @@ REFUSALS = (
 # per group, then the rest. PoCL compiles a kernel for every size of a group, 50 ms each: there are
 # few.
 CPU_GROUPS = (128, 8, 1)
+BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt")
 
 
 class OpenCLDevice(Taped):
@@ -358,12 +359,7 @@ class OpenCLDevice(Taped):
                 head += f"typedef int built_for_{self.processor.replace('-', '_')};\n"
             head += "".join(f"#define {name} {value}\n" for name, value in sorted(defines.items()))
             start = time.perf_counter()
-            options = [
-                "-cl-std=CL1.2",
-                "-cl-fp32-correctly-rounded-divide-sqrt",
-                "-I",
-                str(include),
-            ]
+            options = [*BUILD_OPTIONS, "-I", str(include)]
             if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
                 options.append(f"-cl-nv-maxrregcount={defines['REGISTERS']}")
             try:
@@ -418,6 +414,7 @@ class OpenCLDevice(Taped):
                 self.queue = queue
 
     def _collect(self, clock):
+        clock.launches += len(clock.events)
         for stage, event in clock.events:
             clock.times[stage] += 1e-6 * (event.profile.end - event.profile.start)
         clock.events.clear()

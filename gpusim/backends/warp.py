@@ -309,6 +309,7 @@ class WarpDevice(Taped):
             begin = time.perf_counter()
             start()
             clock.times[stage] += 1e3 * (time.perf_counter() - begin)
+            clock.launches += 1
 
     def _kernel(self, stage, kernel, defines, args, options):
         loaded = self._modules.get(stage)
@@ -393,6 +394,7 @@ class WarpDevice(Taped):
         self._wp.synchronize_device(self.wp_device)
 
     def _collect(self, clock):
+        clock.launches += len(clock.events)
         with self.wp_device.context_guard:
             for stage, first, last in clock.events:
                 clock.times[stage] += self._wp.get_event_elapsed_time(first, last)

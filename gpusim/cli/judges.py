@@ -1,13 +1,12 @@
-"""`gpusim verify`, `bench` and `devices`: errors and speed of the stages of every device."""
+"""`gpusim verify` and `devices`: errors of the stages of every device, and the devices."""
 
 import json
 from dataclasses import asdict, dataclass
 
-from gpusim.cli.options import Options, flag, option, size, write_json
+from gpusim.cli.options import Options, flag, option, write_json
 from gpusim.domain.errors import UnknownName
 
 VERIFY = {"help": "compare every stage with its float64 reference; status 1 on any failure"}
-BENCH = {"help": "speed of every stage, with its error"}
 DEVICES = {"help": "list the devices, their copy speed, and why a device is unusable"}
 
 
@@ -47,25 +46,6 @@ class VerifyRequest(StageRequest):
 
 
 @dataclass(frozen=True, kw_only=True)
-class BenchRequest(StageRequest):
-    """Options of `gpusim bench`."""
-
-    size: tuple[int, int] | None = option(
-        type=size,
-        metavar="COLSxROWS",
-        help="size of the frame (default: 1920x1080), or of the chart of --pareto (default: "
-        "480x320)",
-    )
-    pareto: str | None = option(
-        metavar="SCENE", help="run a scene with all plans instead: time against true error"
-    )
-    camera: str = option(default="phone", help="camera of --pareto (default: phone)")
-    out: str | None = option(
-        "-o", "--out", metavar="OUT.png", help="figure of --pareto (needs matplotlib)"
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
 class DevicesRequest(Options):
     """Options of `gpusim devices`."""
 
@@ -94,7 +74,7 @@ def verify(request: VerifyRequest) -> int:
         request.refuse("stage", "--hard runs cases instead of stages", "leave one of them out")
     for name in ("feature", "tolerance"):
         request.refuse(name, "only --combinations uses it", "leave it out, or add --combinations")
-    device, stages = request.device, _check_stages(request.stage)
+    device, stages = request.device, check_stages(request.stage)
     request.refuse_unread("verify")
     show = _hard_line if request.hard else _stage_line
     rows = []
@@ -103,7 +83,7 @@ def verify(request: VerifyRequest) -> int:
         print(show(row), flush=True)
     failed = sum(not row["ok"] for row in rows)
     print(f"{len(rows) - failed} passed, {failed} failed")
-    _write_rows(request.json, rows)
+    write_rows(request.json, rows)
     return 1 if failed or not rows else 0
 
 
@@ -142,7 +122,7 @@ def _verify_combinations(request):
         print(f"FAIL {row['device']:10s} (open): {row['why']}")
     failed = sum(not row["ok"] for row in rows)
     print(f"{len(rows) - failed} passed, {failed} failed")
-    _write_rows(request.json, rows)
+    write_rows(request.json, rows)
     return 1 if failed or not rows else 0
 
 
@@ -183,96 +163,6 @@ def _as_hard(row):
         "ok": False,
         "why": row["why"],
     }
-
-
-def bench(request: BenchRequest) -> int:
-    """Run `gpusim bench`.
-
-    Args:
-        request: Options of the command.
-
-    Returns:
-        The exit status: 1 if a stage fails, or if there is none.
-
-    Raises:
-        GpusimError: If an option or a file is wrong.
-    """
-    if request.pareto is not None:
-        return _pareto(request)
-    from gpusim.data.charts import checked_size
-    from gpusim.io.atomic import check_output
-    from gpusim.judge import bench as judge
-
-    for name in ("camera", "out"):
-        request.refuse(name, "only --pareto uses it", "leave it out, or add --pareto SCENE")
-    check_output(request.json)
-    size = checked_size(request.size or (1920, 1080))[::-1]
-    rows: list[dict] = []
-    stages = _check_stages(request.stage)
-    devices, broken = _open_devices(request.device)
-    request.refuse_unread("bench")
-    print(
-        f"{'device':10s} {'stage':22s} {'size':>10s} {'ms p25':>9s} {'p50':>9s} {'p75':>9s} {'GB/s':>7s} "
-        f"{'GFLOP/s':>8s} {'x floor':>8s} {'build ms':>9s} {'rms error':>10s} {'max error':>10s}"
-    )
-    for device in devices:
-        for row in judge.bench(device, stages, size):
-            rows.append(row)
-            print(_speed_line(row), flush=True)
-    for row in broken:
-        rows.append({"stage": row["stage"], "device": row["device"], "failed": row["why"]})
-        print(f"{row['device']:10s} no speed: {row['why']}")
-    _write_rows(request.json, rows)
-    return 1 if any("failed" in row for row in rows) or not rows else 0
-
-
-def _speed_line(row):
-    """Return a line of a stage's speed."""
-    stage = f"{row['device']:10s} {row['stage']:22s}"
-    if "failed" in row:
-        return f"{stage} no speed: verification failed, {row['failed']}"
-    rate, ratio = (
-        f"{'-':>8s}" if row[key] is None else f"{row[key]:8.1f}"
-        for key in ("gflops", "ratio_to_floor")
-    )
-    times = f"{row['ms_p25']:9.3f} {row['ms_p50']:9.3f} {row['ms_p75']:9.3f}"
-    errors = f"{row['rel_rms_error']:10.1e} {row['max_error']:10.1e}"
-    speeds = f"{row['gbps']:7.1f} {rate} {ratio}"
-    return f"{stage} {row['size']:>10s} {times} {speeds} {row['build_ms']:9.1f} {errors}"
-
-
-def _pareto(request):
-    """Run `gpusim bench --pareto`."""
-    from gpusim.backends import open_device
-    from gpusim.data.charts import CHARTS
-    from gpusim.io.atomic import atomic_path, check_output
-    from gpusim.io.camera.cameras import open_camera
-    from gpusim.io.scene.scenes import open_scene
-    from gpusim.judge.pareto import draw, pareto
-
-    request.refuse("stage", "--pareto times whole frames", "leave one of them out")
-    for path in (request.json, request.out):
-        check_output(path)
-    size = request.size or ((480, 320) if request.pareto in CHARTS else None)
-    camera, scene = open_camera(request.camera), open_scene(request.pareto, size=size)
-    device, rows = open_device("auto" if request.device == "all" else request.device), []
-    request.refuse_unread("bench --pareto")
-    heads = ("ms", "frame ms", "true rms", "predicted", "99.9 %", "largest")
-    print(f"{'point':22s} {' '.join(f'{head:>9s}' for head in heads)}")
-    for row in pareto(camera, scene, device):
-        rows.append(row)
-        ms, error = (
-            f"{row[key]:9.2g}" if row[key] else f"{'-':>9s}"
-            for key in ("predicted_ms", "predicted")
-        )
-        start = f"{row['point']:22s} {row['ms']:9.2f} {ms} {row['rms']:9.2g} {error}"
-        print(f"{start} {row['p999_sigma']:9.2g} {row['max_sigma']:9.2g}  {row['words']}")
-    _write_rows(request.json, rows)
-    if request.out:
-        size = f"{scene.shape[1]}x{scene.shape[0]}"
-        with atomic_path(request.out) as temporary:
-            draw(rows, temporary, f"{scene.name} {size} by {camera.name} on {device.name}")
-    return 0
 
 
 def list_devices(request: DevicesRequest) -> int:
@@ -320,7 +210,7 @@ def _open_devices(name):
     return [open_device(entry["name"]) for entry in entries if not entry["error"]], broken
 
 
-def _check_stages(names):
+def check_stages(names):
     """Return the names of stages, of all if there are none. Raises UnknownName."""
     from gpusim.kernels.stage import stage_names
 
@@ -331,7 +221,7 @@ def _check_stages(names):
     return names or known
 
 
-def _write_rows(path, rows):
+def write_rows(path, rows):
     """Write rows to a JSON file, if there is a path. JSON has no infinity: it becomes null."""
     plain = [
         {key: None if value == float("inf") else value for key, value in row.items()}

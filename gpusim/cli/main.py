@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from importlib import import_module
 
 from gpusim import __version__
+from gpusim.cli.benching import DESCRIPTION, HELP, with_subcommand
 from gpusim.cli.options import Options
 from gpusim.cli.progress import showing_progress
 from gpusim.domain.errors import GpusimError, one_line
@@ -20,14 +21,18 @@ _PLACES = {
     "preview": ("preview", "PreviewRequest", "preview", "TEXTS"),
     "train-l3": ("train_l3", "TrainRequest", "train_l3", "TEXTS"),
     "verify": ("judges", "VerifyRequest", "verify", "VERIFY"),
-    "bench": ("judges", "BenchRequest", "bench", "BENCH"),
+    "bench run": ("bench_run", "RunRequest", "run", "TEXTS"),
+    "bench pareto": ("bench_pareto", "ParetoRequest", "pareto", "TEXTS"),
     "warmup": ("warmup", "WarmupRequest", "warmup", "TEXTS"),
     "devices": ("judges", "DevicesRequest", "list_devices", "DEVICES"),
 }
 
 
 class _Commands(Mapping[str, tuple[type[Options], Callable, dict[str, str]]]):
-    """Commands by name: options, function, texts of the help. Each is imported when it is read."""
+    """Commands by name: options, function, texts of the help. Each is imported when it is read.
+
+    A name of two words is a subcommand.
+    """
 
     def __getitem__(self, name):
         module, *parts = _PLACES[name]
@@ -59,7 +64,10 @@ def main(argv: list[str] | None = None) -> int:
         line) or 3 (a tolerance that cannot be judged).
     """
     argv = sys.argv[1:] if argv is None else argv
-    parser = _parser(argv[:1] if argv[:1] and argv[0] in COMMANDS else COMMANDS)
+    if argv[:1] == ["bench"]:
+        argv = ["bench", *with_subcommand(argv[1:], _subcommands("bench"))]
+    names = {" ".join(argv[:count]) for count in (1, 2)}
+    parser = _parser([name for name in names if name in COMMANDS] or COMMANDS)
     arguments = parser.parse_args(argv)
     try:
         with showing_progress():
@@ -88,10 +96,20 @@ def _parser(names: Iterable[str] = COMMANDS):
     )
     parser.add_argument("--version", action="version", version=f"gpusim {__version__}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    subcommands = {}
     for name in names:
         options, run, texts = COMMANDS[name]
-        options.add_command(commands, name, run, **texts)
+        command, _, subcommand = name.partition(" ")
+        if subcommand and command not in subcommands:
+            made = commands.add_parser(command, help=HELP, description=DESCRIPTION)
+            subcommands[command] = made.add_subparsers(required=True, metavar="SUBCOMMAND")
+        options.add_command(subcommands.get(command, commands), subcommand or command, run, **texts)
     return parser
+
+
+def _subcommands(command):
+    """Return the names of a command's subcommands."""
+    return [name.partition(" ")[2] for name in COMMANDS if name.startswith(f"{command} ")]
 
 
 if __name__ == "__main__":

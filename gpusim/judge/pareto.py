@@ -1,4 +1,4 @@
-"""Time against true error of a scene for a range of plans: `gpusim bench --pareto`.
+"""Time against true error of a scene for a range of plans: `gpusim bench pareto`.
 
 The time is for the mean electrons, from scene samples on the device, after the first frame. For
 comparison there are the implementations that a user of SciPy would write, in float32 with one

@@ -13,9 +13,8 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.backends.probe import cache_file, write_cache
 from gpusim.backends.tape import Tape, recording
-from gpusim.judge.bench import make_resident
 from gpusim.kernels.common import fft
-from gpusim.kernels.stage import public_function, stage_module
+from gpusim.kernels.stage import make_resident, public_function, stage_module
 from gpusim.optics.farfield import multiplications
 from gpusim.pipeline.simulator import Simulator
 from gpusim.pipeline.step import steps_needed

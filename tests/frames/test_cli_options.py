@@ -21,6 +21,7 @@ import pytest
 from PIL import Image
 
 import gpusim as gs
+from gpusim.bench.result import LIMITS
 from gpusim.cli.look import PANELS
 from gpusim.cli.main import COMMANDS, main
 from gpusim.domain.digest import digest
@@ -163,14 +164,22 @@ ROWS = {
         "feature": ("--device numpy --combinations", "--feature depth"),
         "tolerance": ("--device numpy --combinations", "--tolerance 1e-2"),
     },
-    "bench": {
+    "bench run": {
         "device": ("--device numpy", "--device warp:cpu"),
+        "quick": ("--device numpy", "--quick"),
         "stage": ("--device numpy", "--stage sensor.noise"),
-        "json": ("--device numpy", "--json rows.json"),
+        "only": ("--device numpy", "--only video"),
         "size": ("--device numpy", "--size 64x48"),
-        "pareto": ("--device numpy", "--pareto colorchecker"),
-        "camera": ("--device numpy --pareto colorchecker", "--camera mono"),
-        "out": ("--device numpy --pareto colorchecker", "-o out.png"),
+        "rounds": ("--device numpy", "--rounds 4"),
+        "json": ("--device numpy", "--json rows.json"),
+        "append": ("--device numpy", "--append stored.json"),
+    },
+    "bench pareto": {
+        "device": ("colorchecker --device numpy", "--device warp:cpu"),
+        "camera": ("colorchecker --device numpy", "--camera mono"),
+        "size": ("colorchecker --device numpy", "--size 24x16"),
+        "json": ("colorchecker --device numpy", "--json rows.json"),
+        "out": ("colorchecker --device numpy", "-o out.png"),
     },
     "warmup": {
         "device": ("--device numpy", "--device warp:cpu"),
@@ -178,6 +187,23 @@ ROWS = {
         "tolerance": ("--device numpy", "--tolerance preview"),
     },
     "devices": {"json": ("", "--json")},
+}
+
+
+STORED = {
+    "bench": "suite",
+    "format": 1,
+    "device": "numpy",
+    "machine": {"device": "", "driver": "", "compiler": "", "warnings": []},
+    "commit": None,
+    "dirty": None,
+    "date": "",
+    "hash": "",
+    "limits": dict.fromkeys(LIMITS),
+    "cold_build_s": None,
+    "quick": False,
+    "scores": {},
+    "rows": [],
 }
 
 
@@ -196,6 +222,7 @@ def inputs(tmp_path_factory):
         ("in_3", codes // 2),
     ):
         Image.fromarray(picture).save(folder / f"{name}.png")
+    (folder / "stored.json").write_text(json.dumps(STORED))
     cutout = np.full((8, 8, 4), 255, np.uint8)
     Image.fromarray(cutout).save(folder / "actor.png")
     edge = gs.chart("slanted-edge", size=(64, 48))
@@ -246,7 +273,7 @@ def outcome(inputs, tmp_path, monkeypatch, capsys):
         monkeypatch.chdir(folder)
         capsys.readouterr()
         try:
-            status = main([command, *shlex.split(text)])
+            status = main([*command.split(), *shlex.split(text)])
         except SystemExit as stop:
             status = stop.code
         said = capsys.readouterr()
@@ -289,8 +316,9 @@ def record(monkeypatch):
     import gpusim.apps.preview.page
     import gpusim.apps.warmup
     import gpusim.backends.probe
+    import gpusim.bench.cold
+    import gpusim.bench.suite
     import gpusim.io.camera.learned
-    import gpusim.judge.bench
     import gpusim.judge.combinations
     import gpusim.judge.hard
     import gpusim.judge.pareto
@@ -320,8 +348,10 @@ def record(monkeypatch):
         asked = f"asked: {features}, {make.keywords['tolerance']}"
         yield gpusim.judge.combinations.Cell(features[0], features[-1], "runs", asked)
 
-    def timed(device, stages, size):
-        yield {"device": device.name, "stage": "all", "failed": said(*stages, size)}
+    def measured(device, subjects, sizes=(), **settings):
+        names = [getattr(one, "name", one) for one in subjects]
+        row = {"name": said(device, *names, sizes, settings), "verified": False, "failed": ""}
+        return STORED | {"device": device.name, "rows": [row]}
 
     def warmed(device, cameras, tolerances):
         for asked in product(cameras, tolerances, gpusim.apps.warmup.SCENES):
@@ -342,7 +372,9 @@ def record(monkeypatch):
         (gpusim.judge.verify, "verify_devices", verified_by_name),
         (gpusim.judge.hard, "hard", hard),
         (gpusim.judge.combinations, "combinations", combined),
-        (gpusim.judge.bench, "bench", timed),
+        (gpusim.bench.suite, "measure", measured),
+        (gpusim.bench.suite, "append_round", lambda stored, path, device: measured(device, [path])),
+        (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),
         (gpusim.apps.warmup, "warm_up", warmed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),
@@ -427,9 +459,17 @@ CONFLICTS = [  # a command line and the option that has no effect in it
     ("verify", "--device numpy --combinations", "--hard"),
     ("verify", "--device numpy", "--feature depth"),
     ("verify", "--device numpy", "--tolerance 1e-2"),
-    ("bench", "--device numpy", "--camera phone"),
-    ("bench", "--device numpy", "-o out.png"),
-    ("bench", "--device numpy --pareto colorchecker", "--stage sensor.noise"),
+    *(
+        ("bench run", "--device numpy --append stored.json", option)
+        for option in (
+            "--quick",
+            "--stage sensor.noise",
+            "--only video",
+            "--size 64x48",
+            "--rounds 4",
+            "--json rows.json",
+        )
+    ),
 ]
 LONG = {"-o": "--out"}
 

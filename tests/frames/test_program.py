@@ -248,7 +248,7 @@ def test_a_full_standard_error_stops_no_work(unbuffered, tmp_path):
 # In a fork for each command and each way that streams can be: all is imported once
 EVERY_COMMAND = """
 import io, json, os, sys
-import gpusim.backends.probe, gpusim.judge.bench, gpusim.cli.main, gpusim.judge.plan_summary
+import gpusim.backends.probe, gpusim.bench.suite, gpusim.cli.bench_run, gpusim.cli.main, gpusim.judge.plan_summary
 import gpusim.pipeline.simulator, gpusim.judge.verify
 from gpusim.__main__ import start
 gpusim.backends.probe.devices = lambda refresh: [{"name": "a", "error": "no driver"}] * 9
@@ -293,7 +293,7 @@ def test_no_command_minds_what_its_streams_are(tmp_path):
         ("--help",),
         *((name, "--device", "numpy", "--stage", "sensor.flag") for name in ("verify", "bench")),
     ]
-    works[-1] += ("--size", "8x8")
+    works[-1] += ("--size", "8x8", "--quick")
     done = program(json.dumps(works), code=EVERY_COMMAND, cwd=tmp_path)
     found = json.loads(done.stdout.splitlines()[-1])
     assert (

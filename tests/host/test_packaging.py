@@ -27,6 +27,7 @@ LAYERS = (
     "captures",
     "plot",
     "apps",
+    "bench",
     "cli",
 )
 

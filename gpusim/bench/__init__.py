@@ -1,0 +1,1 @@
+"""The benchmark: every stage and twelve pipelines, verified, against the limits of a device."""
