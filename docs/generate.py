@@ -297,22 +297,26 @@ def commands():
         "half-written files.",
         "",
     )
-    parser = cli._parser()
-    found = next(
-        action for action in parser._actions if isinstance(action, argparse._SubParsersAction)
-    )
-    texts = {action.dest: action.help for action in found._choices_actions}
-    for name, command in found.choices.items():
-        command.formatter_class = lambda prog: argparse.HelpFormatter(prog, width=96)
-        yield from title(f"gpusim {name}", "-")
-        yield from (
-            prose.escaped(texts[name][0].upper() + texts[name][1:]) + ".",
-            "",
-            ".. code-block:: none",
-            "",
-            textwrap.indent(command.format_help(), "   "),
-            "",
-        )
+    yield from _commands_of("gpusim", cli._parser(), "-")
+
+
+def _commands_of(name, parser, line):
+    """Yield the help texts of a parser's commands, and of their subcommands."""
+    found = [one for one in parser._actions if isinstance(one, argparse._SubParsersAction)]
+    for action in found:
+        texts = {choice.dest: choice.help for choice in action._choices_actions}
+        for word, command in action.choices.items():
+            command.formatter_class = lambda prog: argparse.HelpFormatter(prog, width=96)
+            yield from title(f"{name} {word}", line)
+            yield from (
+                prose.escaped(texts[word][0].upper() + texts[word][1:]) + ".",
+                "",
+                ".. code-block:: none",
+                "",
+                textwrap.indent(command.format_help(), "   "),
+                "",
+            )
+            yield from _commands_of(f"{name} {word}", command, "^")
 
 
 def names():

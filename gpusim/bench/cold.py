@@ -24,7 +24,7 @@ main()
 """
 
 
-def cold_build_s(device: Device, stages: list[str]) -> float | None:
+def measure_cold_build(device: Device, stages: list[str]) -> float | None:
     """Return the time to build the kernels of stages without any cache on disk [s].
 
     A child process with empty caches runs each stage twice. The first run builds the kernels; the

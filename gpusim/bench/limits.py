@@ -37,7 +37,7 @@ def ceilings(device: Device) -> dict[str, float | None]:
         copies nothing to or from itself. Warp's CPU device has no local memory.
 
     Raises:
-        DeviceError: A kernel that measures gives wrong results.
+        DeviceError: A kernel that measures gives wrong results, or the device's clock no times.
     """
     found: dict[str, float | None] = dict.fromkeys(LIMITS)
     if device.kind == "numpy":
@@ -55,6 +55,19 @@ def ceilings(device: Device) -> dict[str, float | None]:
         with announced(f"measuring {name.partition('_')[0]}"):
             found[name] = measure(device)
     return found
+
+
+def choose_best(*measured: dict[str, float | None]) -> dict[str, float | None]:
+    """Return the best of each limit: the largest rate, the least time.
+
+    Args:
+        measured: Results of `ceilings` of one device.
+    """
+    best = {}
+    for name, first in measured[0].items():
+        values = [value for one in measured if (value := one[name]) is not None]
+        best[name] = first if not values else min(values) if name == "launch_us" else max(values)
+    return best
 
 
 def fma_gflops(device: Device) -> float:
@@ -193,6 +206,8 @@ def _best_ms(device, run):
         with device.timed() as ms:
             run()
         best = min(best, sum(ms.values()))
+    if best <= 0:
+        raise DeviceError(f"{device.name}: its clock gives no time; check the driver")
     return best
 
 

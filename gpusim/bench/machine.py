@@ -74,8 +74,8 @@ class Watch:
         """Read clocks and temperatures now. Call it while the device is warm."""
         gpu = self._gpu()
         if gpu is not None:
-            self._note(self._clocks, _number(gpu["clocks.sm"]))
-            self._note(self._temperatures, _number(gpu["temperature.gpu"]))
+            _note(self._clocks, _number(gpu["clocks.sm"]))
+            _note(self._temperatures, _number(gpu["temperature.gpu"]))
             with contextlib.suppress(ValueError):
                 active = int(gpu["clocks_throttle_reasons.active"], 16)
                 self._reasons |= {words for bit, words in THROTTLED.items() if active & bit}
@@ -85,15 +85,11 @@ class Watch:
         lines = self._read("proc/cpuinfo").splitlines()
         clocks = [_number(line.partition(":")[2]) for line in lines if line.startswith("cpu MHz")]
         found = [clock for clock in clocks if clock is not None]
-        self._note(self._clocks, max(found, default=None))
+        _note(self._clocks, max(found, default=None))
         zones = sorted(self._root.glob("sys/class/thermal/thermal_zone*/temp"))
-        degrees = [_number(_read(zone)) for zone in zones]
-        kelvins = [value / 1e3 for value in degrees if value is not None]
-        self._note(self._temperatures, max(kelvins, default=None))
-
-    def _note(self, values, value):
-        if value is not None:
-            values.append(value)
+        told = [_number(_read(zone)) for zone in zones]
+        degrees = [value / 1e3 for value in told if value is not None]
+        _note(self._temperatures, max(degrees, default=None))
 
     def facts(self) -> dict[str, Any]:
         """Return the machine as a result has it, with the warnings of the time until now.
@@ -112,7 +108,7 @@ class Watch:
             "cores": cores,
             "device": told["device"],
             "driver": told["driver"],
-            **compiler_of(self.device, told),
+            **describe_compiler(self.device, told),
             "python": platform.python_version(),
             **{name: found for name in PACKAGES if (found := _version(PACKAGES[name]))},
             "system": f"{platform.system()} {platform.release()}",
@@ -199,6 +195,12 @@ def _number(text):
         return None
 
 
+def _note(values, value):
+    """Append a value that is known."""
+    if value is not None:
+        values.append(value)
+
+
 def _version(package):
     """Return the version of a package, or None."""
     try:
@@ -213,14 +215,17 @@ def ask_nvidia(device: Device) -> list[str] | None:
     Args:
         device: The GPU.
     """
-    if device.kind == "warp":
-        which = getattr(device, "wp_device").pci_bus_id  # noqa: B009  a Warp device has it
-    else:
-        which = _bus_of(device)
+    bus = _bus_of(device)
+    if bus is None:
+        return None
     command = ["nvidia-smi", f"--query-gpu={','.join(SMI)}", "--format=csv,noheader,nounits"]
     try:
         said = subprocess.run(
-            [*command, f"--id={which}"], capture_output=True, text=True, timeout=20, check=True
+            [*command, f"--id={bus}"],
+            capture_output=True,
+            text=True,
+            timeout=20,
+            check=True,
         ).stdout
     except (OSError, subprocess.SubprocessError):
         return None
@@ -229,7 +234,11 @@ def ask_nvidia(device: Device) -> list[str] | None:
 
 
 def _bus_of(device):
-    """Return the PCI address of an OpenCL device of NVIDIA's, or "0"."""
+    """Return the PCI address of an NVIDIA GPU, "0" if its driver does not tell, or None."""
+    if device.kind == "warp":
+        return device.wp_device.pci_bus_id
+    if "nvidia" not in device.cl_device.vendor.lower():
+        return None
     try:
         bus, slot = device.cl_device.pci_bus_id_nv, device.cl_device.pci_slot_id_nv
     except Exception:  # pyopencl's class for an unknown question depends on the driver
@@ -242,7 +251,7 @@ def count_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def compiler_of(device: Device, told: dict[str, Any]) -> dict[str, str]:
+def describe_compiler(device: Device, told: dict[str, Any]) -> dict[str, str]:
     """Return the compiler of a device's kernels, and its flags.
 
     Args:
@@ -250,8 +259,8 @@ def compiler_of(device: Device, told: dict[str, Any]) -> dict[str, str]:
         told: The device's `identity`.
     """
     if device.kind == "opencl":
-        compiler = getattr(device, "cl_device").platform.version.strip()  # noqa: B009
-        return {"compiler": compiler, "flags": " ".join(BUILD_OPTIONS)}
+        platform_version = vars(device)["cl_device"].platform.version
+        return {"compiler": platform_version.strip(), "flags": " ".join(BUILD_OPTIONS)}
     if device.kind == "warp":
         kind = "NVRTC" if device.is_gpu else "LLVM"
         return {"compiler": f"{told['version']}, {kind}", "flags": "release"}

@@ -108,9 +108,9 @@ def find_fault(result: Any) -> str:
     if not isinstance(result, dict):
         return "wanted an object"
     if result.get("bench") != KIND:
-        return f'"bench" is {_shown(result.get("bench"))}, wanted "{KIND}"'
+        return f'"bench" is {_show(result.get("bench"))}, wanted "{KIND}"'
     if result.get("format") != FORMAT:
-        return f'"format" is {_shown(result.get("format"))}, this version reads {FORMAT}'
+        return f'"format" is {_show(result.get("format"))}, this version reads {FORMAT}'
     fault = _find_wrong_key(result, RESULT) or _find_wrong_limit(result["limits"])
     if fault:
         return fault
@@ -118,7 +118,7 @@ def find_fault(result: Any) -> str:
     for number, row in enumerate(result["rows"], 1):
         fault = _find_row_fault(row)
         if not fault and row["name"] in names:
-            fault = f"the name {_shown(row['name'])} is there twice"
+            fault = f"the name {_show(row['name'])} is there twice"
         if fault:
             return f"row {number}: {fault}"
         names.add(row["name"])
@@ -133,7 +133,7 @@ def _find_row_fault(row):
     if fault:
         return fault
     if row["kind"] not in ("stage", "pipeline"):
-        return f'"kind" is {_shown(row["kind"])}, wanted "stage" or "pipeline"'
+        return f'"kind" is {_show(row["kind"])}, wanted "stage" or "pipeline"'
     if not row["verified"]:
         return _find_wrong_key(row, {"failed": (str,)})
     fault = _find_wrong_key(row, TIMED)
@@ -155,7 +155,7 @@ def _find_wrong_key(found, wanted):
             return f'"{key}" is missing'
         value = found[key]
         if not isinstance(value, types) or (isinstance(value, bool) and bool not in types):
-            return f'"{key}" is {_shown(value)}'
+            return f'"{key}" is {_show(value)}'
     return ""
 
 
@@ -165,7 +165,7 @@ def _find_wrong_limit(limits):
         if key not in limits:
             return f'"limits" has no "{key}"'
         if limits[key] is not None and not _is_time(limits[key]):
-            return f'"{key}" is {_shown(limits[key])}, wanted a number above 0'
+            return f'"{key}" is {_show(limits[key])}, wanted a number above 0'
     return ""
 
 
@@ -175,7 +175,7 @@ def _is_time(value):
     return is_number and 0 < value < math.inf
 
 
-def _shown(value):
+def _show(value):
     """Return a value of JSON in at most 40 letters."""
     text = json.dumps(value)
     return text if len(text) <= 40 else f"{text[:36]} ..."
@@ -203,8 +203,8 @@ def score_rows(rows: list[dict[str, Any]]) -> dict[str, float | None]:
 
     A score is the geometric mean of `attained`, of each row at most 1: every row then takes the
     least time that the measured limits of the device allow. A row beyond 1 reads from a cache, or
-    leaves out inputs of no weight, and must not make up for a slow one. A family with a row that failed its verification, or
-    without a floor, has no score: a wrong answer must not raise it.
+    leaves out inputs of no weight, and must not make up for a slow one. A family has no score with
+    a row that failed its verification, or without a floor: a wrong answer must not raise it.
 
     Args:
         rows: The rows of a result.

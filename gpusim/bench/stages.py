@@ -7,6 +7,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.bench.subject import Check, Work, digest_sources, digest_values
+from gpusim.domain.progress import announced
 from gpusim.kernels.stage import make_resident, public_function, stage_module
 
 # columns and rows. The reference of a full frame takes minutes: errors are measured on the first
@@ -50,7 +51,9 @@ class Stage:
         def run():
             return function(**resident, device=device)
 
-        return Work(run, moved + size_of_result, operations, moved, is_wall=False)
+        moved += size_of_result
+        # arrays between its kernels take about as much as its inputs and results
+        return Work(run, moved, operations, 2 * moved, is_wall=False)
 
     def digest(self) -> str:
         """Return the SHA-256 of its kernels' sources, of all shared ones, and of its inputs."""
@@ -80,12 +83,18 @@ def check_stages(
     Args:
         stages: Names of stages.
         verify: Function from names of stages to the rows of `gpusim.judge.verify.verify`.
+
+    Returns:
+        Checks by stage. "" has those of no stage: the device failed before, or between two.
     """
     found: dict[str, list[Check]] = {name: [] for name in stages}
-    for row in verify(stages):
+    rows = iter(verify(stages))
+    while True:
+        done = sum(bool(checks) for checks in found.values())
+        with announced(f"verifying stages, {done} of {len(stages)}"):
+            row = next(rows, None)
+        if row is None:
+            return found
+        # a device may also fail before or between the stages, "(open)": what follows has no checks
         check = Check(row["case"], row["max_error"], row["tolerance"], row["why"])
-        if row["stage"] in found:
-            found[row["stage"]].append(check)
-        else:  # the device failed between two stages: what follows has no checks
-            found.setdefault("", []).append(check)
-    return found
+        found.setdefault(row["stage"] if row["stage"] in found else "", []).append(check)

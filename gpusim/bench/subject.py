@@ -56,7 +56,7 @@ class Check:
         return bool(self.error <= self.tolerance)
 
 
-def worst(checks: Iterable[Check]) -> Check:
+def find_worst(checks: Iterable[Check]) -> Check:
     """Return the first check that fails, or the one nearest to its tolerance.
 
     Args:

@@ -4,16 +4,17 @@ import datetime
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 from gpusim.backends import Device
-from gpusim.bench.limits import ceilings
+from gpusim.bench.limits import ceilings, choose_best
 from gpusim.bench.machine import Watch, find_commit
-from gpusim.bench.pipelines import Pipeline, pipelines
+from gpusim.bench.pipelines import Pipeline, list_pipelines
 from gpusim.bench.result import FORMAT, KIND, score_rows, sum_up
 from gpusim.bench.stages import Stage, check_stages
-from gpusim.bench.subject import Check, Work, digest_values, worst, write_size
-from gpusim.domain.errors import BadFile, one_line
+from gpusim.bench.subject import Check, Work, digest_values, find_worst, write_size
+from gpusim.domain.errors import BadFile, DeviceError, one_line
 from gpusim.domain.progress import announced
 from gpusim.judge.verify import verify_apart
 from gpusim.kernels.stage import stage_names
@@ -23,7 +24,7 @@ QUICK_SIZES = ((1280, 720),)
 ROUNDS = 3
 SECONDS, QUICK_SECONDS = 0.4, 0.1  # of the repetitions of a row in a round
 LEAST, MOST = 3, 1000  # repetitions in a round; a slow row has one
-KEPT = 0.25  # of the device's free memory, for rows that need not be prepared again
+KEPT = 0.15  # of the device's free memory, for rows that need not be prepared again
 PLACE = "cpu", "cores", "device", "driver", "compiler"  # of a machine: keys that affect times
 Subject = Stage | Pipeline
 # function from names of stages to the rows of `gpusim.judge.verify.verify`
@@ -32,10 +33,10 @@ Verify = Callable[[list[str]], Iterable[dict]]
 
 def all_subjects() -> list[Subject]:
     """Return every stage, in the order in which light passes them, and the twelve pipelines."""
-    return [*(Stage(name) for name in stage_names()), *pipelines()]
+    return [*(Stage(name) for name in stage_names()), *list_pipelines()]
 
 
-def verifier(device: Device) -> Verify:
+def make_verifier(device: Device) -> Verify:
     """Return the function that verifies stages of a device in a child process.
 
     A kernel that crashes fails its stage and not the run. Nothing judges the NumPy device: it is
@@ -103,9 +104,10 @@ def measure(
     """
     watch = Watch(device) if watch is None else watch
     limits = ceilings(device)
-    rows = begin_rows(device, subjects, sizes, verifier(device) if verify is None else verify)
-    _run_rounds(device, rows, rounds, seconds, limits, watch)
-    return _result(device, [row.found for row in rows], limits, watch)
+    rows = begin_rows(device, subjects, sizes, make_verifier(device) if verify is None else verify)
+    _run_rounds(device, rows, rounds, seconds, watch)
+    limits = choose_best(limits, ceilings(device))  # other work may have disturbed the first ones
+    return _result(device, rows, limits, watch)
 
 
 def append_round(
@@ -130,8 +132,8 @@ def append_round(
         watch: Watches the machine; None begins now.
 
     Raises:
-        BadFile: The result is of another device, of other kernels or inputs, or of rows that this
-            version does not know.
+        BadFile: The result is of another device, machine or commit, of other kernels or inputs, or
+            of rows that this version does not know.
     """
     watch = Watch(device) if watch is None else watch
     _check_place(stored, path, device, watch.facts())
@@ -141,23 +143,23 @@ def append_round(
         subject = known.get(name.rpartition(" ")[0])
         if subject is None:
             raise BadFile(path, f"{name}: this version has no such row; run it anew with --json")
-        rows.append((subject, _read_size(path, row)))
-    made = begin_rows(device, rows, None, verifier(device) if verify is None else verify)
+        size = _read_size(path, row)
+        if _digest(subject, size) != row["hash"]:
+            raise BadFile(
+                path, f"{name}: is of other kernels or inputs than these; run it anew with --json"
+            )
+        rows.append((subject, size))
+    made = begin_rows(device, rows, None, make_verifier(device) if verify is None else verify)
     for row in made:
         before = old[row.found["name"]]
-        if row.found["hash"] != before["hash"]:
-            raise BadFile(
-                path,
-                f"{row.found['name']}: is of other kernels or inputs than these; run it anew with --json",
-            )
         if not before["verified"]:
             row.fail(before["failed"])
         elif row.is_good:
             row.found["rounds"] = list(before["rounds"])
     if seconds is None:
         seconds = QUICK_SECONDS if stored["quick"] else SECONDS
-    _run_rounds(device, made, 1, seconds, stored["limits"], watch)
-    result = _result(device, [row.found for row in made], stored["limits"], watch)
+    _run_rounds(device, made, 1, seconds, watch)
+    result = _result(device, made, stored["limits"], watch)
     warnings = dict.fromkeys([*stored["machine"]["warnings"], *result["machine"]["warnings"]])
     result["machine"]["warnings"] = list(warnings)
     return result | {key: stored[key] for key in ("cold_build_s", "quick")}
@@ -182,7 +184,6 @@ def begin_rows(
         pairs = [(subject, size) for size in sizes for subject in pairs]
     unique = list(dict.fromkeys(subject for subject, _ in pairs))
     verdicts = verify_subjects(device, unique, verify)
-    digests = {subject: subject.digest() for subject in unique}
     rows = []
     for subject, size in pairs:
         text = write_size(size)
@@ -191,7 +192,7 @@ def begin_rows(
             "kind": subject.kind,
             "family": subject.family,
             "size": text,
-            "hash": digest_values(digests[subject], text),
+            "hash": _digest(subject, size),
             "verified": True,
         }
         row = Row(subject, size, found | verdicts[subject] | {"rounds": []})
@@ -199,6 +200,12 @@ def begin_rows(
             row.fail(row.found["failed"])
         rows.append(row)
     return rows
+
+
+@lru_cache(maxsize=512)
+def _digest(subject, size):
+    """Return the SHA-256 of a row's sources and inputs."""
+    return digest_values(subject.digest(), write_size(size))
 
 
 def verify_subjects(device: Device, subjects: list[Subject], verify: Verify) -> dict:
@@ -210,8 +217,7 @@ def verify_subjects(device: Device, subjects: list[Subject], verify: Verify) -> 
         verify: Verifies stages.
     """
     names = [subject.name for subject in subjects if isinstance(subject, Stage)]
-    with announced(f"verifying {len(names)} stages"):
-        checks = check_stages(names, verify) if names else {}
+    checks = check_stages(names, verify) if names else {}
     found = {}
     for subject in subjects:
         with announced(f"verifying {subject.name}"):
@@ -230,7 +236,7 @@ def _verdict(checks: list[Check]) -> dict:
     """Return the keys of a row by its checks."""
     if not checks:
         return _failure("nothing verified it")
-    found = worst(checks)
+    found = find_worst(checks)
     if not found.is_good:
         error = f"error {found.error:.3g}, tolerance {found.tolerance:.3g}"
         return _failure(f"{found.case}: {error} ({found.why})")
@@ -247,7 +253,7 @@ def _failure(reason):
     return {"verified": False, "failed": reason}
 
 
-def _run_rounds(device, rows, rounds, seconds, limits, watch):
+def _run_rounds(device, rows, rounds, seconds, watch):
     """Time all rows once per round, one after the other."""
     budget, done, begin = KEPT * device.memory, 0, time.perf_counter()
     total = rounds * len(rows)
@@ -258,15 +264,12 @@ def _run_rounds(device, rows, rounds, seconds, limits, watch):
                 words = f"round {number} of {rounds}, row {place} of {len(rows)}"
                 words += f", about {left:.0f} s left" if left else ""
                 with announced(f"{words}: {row.found['name']}"):
-                    budget = _run_row(device, row, seconds, limits, budget)
+                    budget = _run_row(device, row, seconds, budget)
             done += 1
         watch.sample()
-    for row in rows:
-        if row.is_good:
-            row.found = sum_up(row.found)
 
 
-def _run_row(device, row, seconds, limits, budget):
+def _run_row(device, row, seconds, budget):
     """Time a row, keep its work if there is room, and return the bytes of room that are left."""
     is_new = row.work is None
     try:
@@ -274,7 +277,8 @@ def _run_row(device, row, seconds, limits, budget):
         if is_new:
             work.run()  # built, and planned
             launches = device.count_launches(work.run)  # recorded
-            row.found |= _floor(work, launches, limits)
+            counts = {"bytes": work.moved, "operations": work.operations, "launches": launches}
+            row.found |= counts
         at = time.time()
         row.found["rounds"].append({"at": at, "ms": time_work(device, work, seconds)})
     except Exception as error:  # a driver may raise anything; the other rows still run
@@ -293,6 +297,9 @@ def time_work(device: Device, work: Work, seconds: float) -> list[float]:
         device: The device.
         work: The work, which has run before.
         seconds: Time for all repetitions [s]. One repetition is enough if it takes longer.
+
+    Raises:
+        DeviceError: The device's clock does not run.
     """
     begin = time.perf_counter()
     while device.is_gpu and time.perf_counter() < begin + seconds / 4:
@@ -310,29 +317,40 @@ def time_work(device: Device, work: Work, seconds: float) -> list[float]:
             with device.timed() as ms:
                 work.run()
             times.append(sum(ms.values()))
+        if times[-1] <= 0:
+            raise DeviceError(f"{device.name}: its clock gives no time")
         now = time.perf_counter()
         if now - begin >= seconds and (len(times) >= LEAST or now - started > seconds):
             break
     return times
 
 
-def _floor(work, launches, limits):
-    """Return bytes, operations and launches of a row, and the least time for them."""
-    counts = {"bytes": work.moved, "operations": work.operations, "launches": launches}
-    if limits["copy_gbps"] is None:
-        return {**counts, "floor_ms": None, "bound": None}
+def find_floor(row: dict[str, Any], limits: dict[str, float | None]) -> dict[str, Any]:
+    """Return floor_ms, the least time for a row within the limits, and bound, the limit that sets it.
+
+    Args:
+        row: A row with bytes, operations (or None) and launches.
+        limits: The limits of the device. Without them both are None.
+    """
+    copy, fma, launch = (limits[key] for key in ("copy_gbps", "fma_gflops", "launch_us"))
+    if copy is None or fma is None or launch is None:
+        return {"floor_ms": None, "bound": None}
     parts = {
-        "memory": work.moved / limits["copy_gbps"] / 1e6,
-        "arithmetic": (work.operations or 0) / limits["fma_gflops"] / 1e6,
-        "launches": launches * limits["launch_us"] / 1e3,
+        "memory": row["bytes"] / copy / 1e6,
+        "arithmetic": (row["operations"] or 0) / fma / 1e6,
+        "launches": row["launches"] * launch / 1e3,
     }
     bound = max(parts, key=lambda name: parts[name])
-    return {**counts, "floor_ms": parts[bound], "bound": bound}
+    return {"floor_ms": parts[bound], "bound": bound}
 
 
-def _result(device, rows, limits, watch):
-    """Return the result of rows."""
+def _result(device, measured, limits, watch):
+    """Return the result of measured rows."""
     commit, is_dirty = find_commit()
+    rows = [
+        sum_up(row.found | find_floor(row.found, limits)) if row.is_good else row.found
+        for row in measured
+    ]
     return {
         "bench": KIND,
         "format": FORMAT,
@@ -351,9 +369,12 @@ def _result(device, rows, limits, watch):
 
 
 def _check_place(stored, path, device, facts):
-    """Raise BadFile unless a result is of this device and machine."""
+    """Raise BadFile unless a result is of this device, machine and commit."""
     if stored["device"] != device.name:
         raise BadFile(path, f"is of device {stored['device']}, not of {device.name}")
+    commit, _ = find_commit()
+    if stored["commit"] != commit:
+        raise BadFile(path, f"is of commit {stored['commit']}, not of {commit}")
     for key in PLACE:
         if stored["machine"].get(key) != facts[key]:
             raise BadFile(

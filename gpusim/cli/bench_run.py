@@ -92,7 +92,7 @@ def _measure(request):
     """Return the result of a new run, which is written if that is asked for."""
     from gpusim.backends import open_device
     from gpusim.bench import suite
-    from gpusim.bench.cold import cold_build_s
+    from gpusim.bench.cold import measure_cold_build
     from gpusim.bench.result import write_result
     from gpusim.data.charts import checked_size
     from gpusim.io.atomic import check_output
@@ -108,7 +108,7 @@ def _measure(request):
     good = {row["name"].split()[0] for row in result["rows"] if row["verified"]}
     stages = [one.name for one in subjects if one.kind == "stage" and one.name in good]
     if stages and not request.quick and device.kind != "numpy":
-        result["cold_build_s"] = cold_build_s(device, stages)
+        result["cold_build_s"] = measure_cold_build(device, stages)
     if request.json is not None:
         write_result(result, request.json)
     return result
@@ -145,7 +145,7 @@ def _print_result(result: dict[str, Any]) -> None:
         print(_row_line(row))
     cold = result["cold_build_s"]
     print(f"cold build: {'not measured' if cold is None else f'{cold:.1f} s'}")
-    scores = [f"{name} {_format(score, '.3f')}" for name, score in result["scores"].items()]
+    scores = [f"{name} {_format(score, '.2g')}" for name, score in result["scores"].items()]
     print(f"scores (floor / time, geometric means): {', '.join(scores)}")
     for warning in machine["warnings"]:
         print(f"warning: {warning}")
@@ -159,7 +159,7 @@ def _row_line(row):
     if not row["verified"]:
         return f"{row['name']:34s} no speed: {row['failed']}"
     times = " ".join(f"{row[key]:9.3f}" for key in ("ms_p20", "ms_p50", "ms_p80"))
-    floor, attained = _format(row["floor_ms"], ".3f"), _format(row["attained"], ".3f")
+    floor, attained = _format(row["floor_ms"], ".3f"), _format(row["attained"], ".2g")
     error = f"{row['max_error']:.1e} of {row['tolerance']:.1e}"
     return (
         f"{row['name']:34s} {times} {floor:>9s} {attained:>9s}  {row['bound'] or '-':10s}  {error}"

@@ -105,7 +105,7 @@ def _verify_combinations(request):
     if tolerance is not None:
         Tolerance.parse(tolerance)
     names = request.feature or NAMES
-    (devices, broken), rows = open_devices(request.device), []
+    (devices, broken), rows = _open_devices(request.device), []
     request.refuse_unread("verify --combinations")
     for device in devices:
         cells = []
@@ -130,7 +130,7 @@ def _hard_rows(name):
     """Yield a row per hard case of every device of this name, also for those that do not open."""
     from gpusim.judge.hard import hard
 
-    devices, broken = open_devices(name)
+    devices, broken = _open_devices(name)
     yield from map(_as_hard, broken)
     for device in devices:
         yield from hard(device)
@@ -193,7 +193,7 @@ def list_devices(request: DevicesRequest) -> int:
     return 0
 
 
-def open_devices(name):
+def _open_devices(name):
     """Return the named device, or all of them for "all", and a failed row for each unusable one."""
     from gpusim.backends import open_device
     from gpusim.backends.probe import devices

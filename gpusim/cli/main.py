@@ -67,7 +67,7 @@ def main(argv: list[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else argv
     if argv[:1] == ["bench"]:
         argv = ["bench", *with_subcommand(argv[1:], _subcommands("bench"))]
-    names = [" ".join(argv[:count]) for count in (1, 2)]
+    names = {" ".join(argv[:count]) for count in (1, 2)}
     parser = _parser([name for name in names if name in COMMANDS] or COMMANDS)
     arguments = parser.parse_args(argv)
     try:

@@ -6,7 +6,7 @@ from devices import DEVICES, KINDS, apart
 
 from gpusim.backends import open_device
 from gpusim.bench import limits, suite
-from gpusim.bench.pipelines import pipelines
+from gpusim.bench.pipelines import list_pipelines
 from gpusim.bench.result import find_fault
 from gpusim.bench.stages import Stage
 from gpusim.domain.errors import DeviceError
@@ -52,6 +52,13 @@ def test_local_memory_is_read_as_it_was_written(monkeypatch):
         assert limits.local_gbps(device) > 0
 
 
+@pytest.mark.skipif(not DEVICES or not DEVICES[0].startswith("opencl"), reason="no OpenCL device")
+def test_a_device_with_its_own_memory_has_rates_of_copies(monkeypatch):
+    monkeypatch.setattr(limits, "TRANSFER_BYTES", 2**16)
+    device = apart()
+    assert limits.upload_gbps(device) > 0 and limits.download_gbps(device) > 0
+
+
 @pytest.mark.parametrize("name", DEVICES)
 def test_a_wrong_sum_is_no_limit(name, monkeypatch):
     device = open_device(name)
@@ -85,7 +92,7 @@ def test_launches_are_counted(name):
             id=one.name,
             marks=[] if one.name in QUICK else pytest.mark.slow,
         )
-        for one in pipelines()
+        for one in list_pipelines()
     ],
 )
 def test_a_pipeline_is_verified_and_runs(one, name):
@@ -102,7 +109,7 @@ def test_a_pipeline_is_verified_and_runs(one, name):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", DEVICES[:1])
 def test_a_cold_build_takes_longer_than_a_run(name):
-    from gpusim.bench.cold import cold_build_s
+    from gpusim.bench.cold import measure_cold_build
 
-    found = cold_build_s(open_device(name), ["sensor.flag", "display.encode"])
+    found = measure_cold_build(open_device(name), ["sensor.flag", "display.encode"])
     assert found is not None and found > 0.05

@@ -374,7 +374,7 @@ def record(monkeypatch):
         (gpusim.judge.combinations, "combinations", combined),
         (gpusim.bench.suite, "measure", measured),
         (gpusim.bench.suite, "append_round", lambda stored, path, device: measured(device, [path])),
-        (gpusim.bench.cold, "cold_build_s", lambda device, stages: None),
+        (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),
         (gpusim.apps.warmup, "warm_up", warmed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),

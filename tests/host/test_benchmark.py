@@ -14,13 +14,13 @@ from gpusim.backends import open_device
 from gpusim.backends.device import kernel_folder
 from gpusim.bench import limits, suite
 from gpusim.bench.machine import SMI, Watch
-from gpusim.bench.pipelines import Pipeline, pipelines
+from gpusim.bench.pipelines import Pipeline, list_pipelines
 from gpusim.bench.result import find_fault, read_result, score_rows, sum_up, write_result
 from gpusim.bench.stages import Stage
 from gpusim.bench.subject import Check, Work
 from gpusim.cli.benching import with_subcommand
 from gpusim.cli.main import main
-from gpusim.domain.errors import BadFile
+from gpusim.domain.errors import BadFile, DeviceError
 
 SIZE = (24, 16)
 LIMITS = dict.fromkeys(
@@ -182,10 +182,18 @@ def test_percentiles_are_of_all_repetitions():
     ],
 )
 def test_the_floor_is_the_largest_of_three(moved, operations, launches, floor, bound):
-    work = Work(lambda: None, moved, operations, 0, True)
     measured = LIMITS | {"copy_gbps": 2.0, "fma_gflops": 10.0, "launch_us": 5.0}
-    found = suite._floor(work, launches, measured)
-    assert (found["floor_ms"], found["bound"]) == (pytest.approx(floor), bound)
+    counts = {"bytes": moved, "operations": operations, "launches": launches}
+    found = suite.find_floor(counts, measured)
+    assert found == {"floor_ms": pytest.approx(floor), "bound": bound}
+    assert suite.find_floor(counts, dict.fromkeys(LIMITS))["floor_ms"] is None
+
+
+def test_the_best_of_limits_are_the_largest_rates_and_the_least_time():
+    first = LIMITS | {"copy_gbps": 2.0, "launch_us": 5.0, "upload_gbps": None}
+    second = LIMITS | {"copy_gbps": 3.0, "launch_us": 4.0, "upload_gbps": None}
+    assert limits.choose_best(first, second) == second
+    assert limits.choose_best(second, first) == second
 
 
 # ---- runs
@@ -248,6 +256,12 @@ def test_repetitions_are_few_for_slow_rows_and_at_least_three_for_fast_ones(monk
     assert suite.time_work(device, takes(0.0625), 0.25) == pytest.approx([62.5] * 4)
 
 
+def test_a_clock_that_stands_is_no_time(monkeypatch):
+    monkeypatch.setattr(suite.time, "perf_counter", lambda: 0.0)
+    with pytest.raises(DeviceError, match="its clock gives no time"):
+        suite.time_work(open_device("numpy"), Work(lambda: None, 0, None, 0, True), 0.0)
+
+
 # ---- one more round
 
 
@@ -278,6 +292,7 @@ def test_append_adds_a_round_to_every_row(stored):
     ("change", "said"),
     [
         (setting("device", value="opencl:9"), "is of device opencl:9, not of numpy"),
+        (setting("commit", value="abc"), "is of commit abc, not of "),
         (setting("machine", "driver", value="b"), "is of another machine: driver 'b'"),
         (setting("rows", 0, "hash", value="b"), "is of other kernels or inputs than these"),
         (setting("rows", 0, "name", value="optics.gone 24x16"), "this version has no such row"),
@@ -303,7 +318,7 @@ def test_a_hash_changes_with_the_stages_files_and_the_shared_ones(tmp_path, monk
     def digests():
         subject.digest_sources.cache_clear()
         return [Stage(name).digest() for name in ("sensor.flag", "display.encode")] + [
-            pipelines()[0].digest()
+            list_pipelines()[0].digest()
         ]
 
     try:
@@ -428,7 +443,7 @@ def test_numpy_has_no_limits():
 
 
 def test_there_are_twelve_pipelines():
-    assert len({one.name for one in pipelines()}) == 12
+    assert len({one.name for one in list_pipelines()}) == 12
 
 
 # ---- the command line
@@ -506,7 +521,7 @@ def test_the_command_says_what_failed_and_warns(capsys, tmp_path, monkeypatch):
         return one | {"max_error": 1.0, "why": "planted"}
 
     monkeypatch.setattr(suite, "QUICK_SECONDS", 0.0)
-    monkeypatch.setattr(suite, "verifier", unequal)
+    monkeypatch.setattr(suite, "make_verifier", unequal)
     monkeypatch.setattr(os, "getloadavg", lambda: (900.0, 0.0, 0.0))
     options = "--device numpy --quick --size 24x16 --stage sensor.flag".split()
     assert main(["bench", *options]) == 1
