@@ -1,4 +1,4 @@
-"""Quality of demosaicking on photographs, gpusim and Menon 2007. For times see compare.py.
+"""Quality of demosaicking on photographs, gpusim and Menon 2007. For times see `gpusim bench peers`.
 
     python bench/demosaic.py --device opencl:0 --photographs DIR [--json bench/results/demosaic-NAME.json]
 

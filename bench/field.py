@@ -8,9 +8,9 @@ the local value, against float64.
 """
 
 import numpy as np
-from baseline import overlap_add as by_scipy
 from results import add_repeat, compared, count, parser, ready, start
 
+from gpusim.bench.baseline import overlap_add as by_scipy
 from gpusim.kernels.optics.field import field, transfer
 from gpusim.optics.field import overlap_add
 

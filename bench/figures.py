@@ -6,11 +6,12 @@ matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.ticker import NullFormatter
+from tables import largest
 
 
 def draw(result: dict, path):
     """Write the figure of a result as PNG."""
-    figure = {"stages": _stages, "scaling": _scaling}[result["bench"]](result)
+    figure = {"suite": _suite, "scaling": _scaling}[result["bench"]](result)
     figure.suptitle(
         f"{result['device']}: {result['machine']['device']}, {result['machine']['driver']}",
         fontsize=9,
@@ -19,32 +20,28 @@ def draw(result: dict, path):
     plt.close(figure)
 
 
-def _stages(result):
+def _suite(result):
     """Draw time against the largest error, and operations per second against those per byte."""
-    rows = [row for row in result["rows"] if "failed" not in row]
+    rows = [row for row in largest(result["rows"]) if row["verified"] and row["kind"] == "stage"]
     figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
     for row in rows:
-        error = max(row["max_error"], 1e-9)  # bit-exact stages are at the left edge
-        _point(left, error, row["ms_p50"], row["name"])
+        error = max(row["max_error"] or 0.0, 1e-9)  # bit-exact stages are at the left edge
+        _point(left, error, row["ms_p50"], _short(row))
     left.set(
         xscale="log",
         yscale="log",
         xlabel="largest error over the peak, against float64",
         ylabel="median time [ms]",
     )
-    counted = [row for row in rows if row["gflops"] is not None]
-    for row in counted:
-        _point(right, row["operations"] / row["bytes"], row["gflops"], row["name"])
+    counted = [row for row in rows if row["operations"]]
+    dense = [row["operations"] / row["bytes"] for row in counted]
+    for row, x in zip(counted, dense, strict=True):
+        _point(right, x, row["operations"] / row["ms_p50"] / 1e6, _short(row))
     copied, fma = result["limits"]["copy_gbps"], result["limits"]["fma_gflops"]
     if copied and counted:
-        dense = [row["operations"] / row["bytes"] for row in counted]
         x = np.geomspace(min(dense) / 2, 2 * max(*dense, fma / copied), 50)
-        right.plot(
-            x,
-            np.minimum(x * copied, fma),
-            color="tab:gray",
-            label=f"{copied:.3g} GB/s copied, {fma:.3g} GFLOP/s",
-        )
+        label = f"{copied:.3g} GB/s copied, {fma:.3g} GFLOP/s"
+        right.plot(x, np.minimum(x * copied, fma), color="tab:gray", label=label)
         right.legend(fontsize=8)
     right.set(
         xscale="log",
@@ -56,6 +53,10 @@ def _stages(result):
         axes.margins(x=0.15)
         axes.xaxis.set_minor_formatter(NullFormatter())
     return figure
+
+
+def _short(row):
+    return row["name"].rpartition(" ")[0]
 
 
 def _scaling(result):

@@ -8,9 +8,9 @@ import weakref
 from dataclasses import replace
 
 import numpy as np
-from results import quartiles
 
 from gpusim.backends import open_device
+from gpusim.bench.timing import find_quartiles
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import DoesNotFit
@@ -86,7 +86,7 @@ class Loops:
 
     def add(self, name, walls, events, check):
         """Print and store a row."""
-        row = {"name": name, **quartiles(walls), "events_ms": events, "check": check}
+        row = {"name": name, **find_quartiles(walls), "events_ms": events, "check": check}
         clock = " " * 16 if events is None else f"{events:9.3f} {row['ms_p50'] / events:6.2f}"
         print(
             f"{name:34s} {row['ms_p50']:9.3f} {clock} {row['ms_p25']:9.3f} {row['ms_p75']:9.3f}  {check}",

@@ -3,17 +3,18 @@
     python bench/fusion.py --device opencl --repeat 5 [--json bench/results/fusion-NAME.json]
 
 All forms start from the 31 planes of a cube and end with mean electrons on the host. The base is
-bench/baseline.py, the error the relative RMS against float64.
+gpusim/bench/baseline.py, the error the relative RMS against float64.
 """
 
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from baseline import Baseline
 from frames import SECONDS, cube
-from results import add_repeat, add_size, compared, parser, ready, rms, start
+from results import add_repeat, add_size, compared, parser, ready, start
 
+from gpusim.bench.baseline import Baseline
+from gpusim.bench.timing import find_rms
 from gpusim.data.charts import chart
 from gpusim.domain.account import Tolerance
 from gpusim.domain.content import Cube
@@ -46,7 +47,7 @@ def main():
     }
     forms["every band, folded"] = partial(_mean, exact, exact.plan(scene))
     truth = Simulator(camera, device="numpy", reach=BORDER_REACH).expose(scene, SECONDS).mean
-    errors = {name: f"rms {rms(form(), truth):.1e}" for name, form in forms.items()}
+    errors = {name: f"rms {find_rms(form(), truth):.1e}" for name, form in forms.items()}
     compared(
         arguments,
         "fusion",

@@ -7,17 +7,18 @@ the clock, from the first change until the device has finished the last frame. `
 of times on the device's clock, in a second loop. The spread is over several loops of this kind.
 `check` compares the last frame with a new one that has a separate plan: the number of values that
 differ, and the relative RMS difference of the mean electrons from a plan with every band. On CPUs
-the last rows are the baseline (bench/baseline.py) and its ratio to a new cube, in turns.
+the last rows are the baseline (gpusim/bench/baseline.py) and its ratio to a new cube, in turns.
 """
 
 from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
-from baseline import Baseline
 from frames import LOOPS, SECONDS, WARM, Loops, cube, resident_scene
-from results import add_size, count, finish, parser, peer_rows, ready, rms, rounds, start
+from results import add_size, count, finish, parser, ready, start
 
+from gpusim.bench.baseline import Baseline
+from gpusim.bench.timing import compare_times, find_rms, time_in_turns
 from gpusim.data.charts import chart
 from gpusim.domain.content import Basis, Cube
 from gpusim.io.camera.cameras import open_camera
@@ -160,10 +161,12 @@ def _baseline(loops, simulator, scenes):
         device.sync()
 
     slow, fast = "baseline: NumPy and SciPy, cube -> raw", "new cube, alternating"
-    times = rounds({slow: lambda: baseline.raw(next(values), SECONDS), fast: ours}, LOOPS, warm=2)
+    times = time_in_turns(
+        {slow: lambda: baseline.raw(next(values), SECONDS), fast: ours}, LOOPS, warm=2
+    )
     exact = Simulator(simulator.camera, device=device).expose(scenes.cubes[0], SECONDS).mean
-    error = rms(baseline.mean(scenes.cubes[0].content.values, SECONDS), device.numpy(exact))
-    row = peer_rows(times, {fast: slow}, each={fast: 3})[1]
+    error = find_rms(baseline.mean(scenes.cubes[0].content.values, SECONDS), device.numpy(exact))
+    row = compare_times(times, {fast: slow}, each={fast: 3})[1]
     loops.add(slow, times[slow], None, f"rms {error:.2g}")
     loops.add(
         fast,
@@ -195,7 +198,7 @@ def _scenes(loops, simulator, scenes, only):
             mean = np.array(device.numpy(loop.exposure.mean))
             exact = Simulator(simulator.camera, device=device).expose(given[1], SECONDS).mean
             return (
-                f"rms {rms(mean, device.numpy(exact)):.2g}; "
+                f"rms {find_rms(mean, device.numpy(exact)):.2g}; "
                 f"{_differing(simulator, given[1], output, last, 4)}"
             )
 

@@ -14,9 +14,9 @@ for given mean electrons equal the reference bit for bit (`gpusim verify --stage
 from functools import partial
 
 import numpy as np
-from baseline import noise as by_numpy
 from results import add_repeat, add_size, compared, parser, ready, start
 
+from gpusim.bench.baseline import noise as by_numpy
 from gpusim.kernels.sensor import chip, noise
 from gpusim.kernels.stage import make_resident
 

@@ -21,18 +21,10 @@ import os
 from importlib.util import find_spec
 
 import numpy as np
-from results import (
-    add_repeat,
-    compared,
-    cores,
-    finish,
-    parser,
-    quartiles,
-    ready,
-    show,
-    start,
-)
+from results import add_repeat, compared, finish, parser, ready, start
 
+from gpusim.bench.machine import count_cores
+from gpusim.bench.timing import find_quartiles, print_times
 from gpusim.domain.errors import BadData
 from gpusim.kernels.stage import make_resident, public_function, stage_module
 
@@ -183,7 +175,7 @@ def peers():
     import cv2
     import halide as hl
 
-    cv2.setNumThreads(cores())
+    cv2.setNumThreads(count_cores())
     rows, cols = SIZE
     mosaic = stage_module("processor.bilinear").bench(rows, cols)["raw"]
     planes = np.empty((rows, cols, 3), np.uint16)
@@ -287,17 +279,17 @@ def main():
     size = {"size": SIZE[::-1]}
     if device.is_gpu:
         rows = [
-            {"name": f"{stage}, a launch", **quartiles(per_launch(device, stage)), "error": ""}
+            {"name": f"{stage}, a launch", **find_quartiles(per_launch(device, stage)), "error": ""}
             for stage in STAGES
         ]
-        show(rows)
+        print_times(rows)
         finish(arguments, "picture", device, rows, old, **size)
         return
     if not (find_spec("cv2") and find_spec("halide")):
         raise BadData(
             "picture.py: the peers are not installed; pip install opencv-python-headless halide"
         )
-    os.environ.setdefault("HL_NUM_THREADS", str(cores()))
+    os.environ.setdefault("HL_NUM_THREADS", str(count_cores()))
     own = ours(device)
     bases = {
         name: "Halide" if "develop" in name else "OpenCV"

@@ -14,14 +14,13 @@ import os
 import platform
 import subprocess
 import sys
-import time
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-import numpy as np
-
 from gpusim.backends import open_device
 from gpusim.backends.probe import identity
+from gpusim.bench.machine import count_cores
+from gpusim.bench.timing import compare_times, print_times, time_in_turns
 from gpusim.cli.main import OneLineParser
 from gpusim.cli.options import size
 from gpusim.data.charts import checked_size
@@ -151,17 +150,12 @@ def machine(device) -> dict:
             versions[name] = version(name)
     return {
         "cpu": cpu,
-        "cores": cores(),
+        "cores": count_cores(),
         "device": told["device"],
         "driver": told["driver"],
         "python": platform.python_version(),
         **versions,
     }
-
-
-def cores() -> int:
-    """Return the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _checkout():
@@ -216,15 +210,6 @@ def spread(row: dict) -> tuple[float, float]:
     return row.get("ms_p25", row.get("ms_least")), row.get("ms_p75", row.get("ms_most"))
 
 
-def quartiles(times, key: str = "ms") -> dict:
-    """Return smallest, quartiles and largest of times, for a row."""
-    values = np.percentile(np.asarray(times, np.float64), (0, 25, 50, 75, 100))
-    return {
-        f"{key}_{name}": float(value)
-        for name, value in zip(("least", "p25", "p50", "p75", "most"), values, strict=True)
-    }
-
-
 def against(old: dict, new: dict) -> str:
     """Return each row's median over the old one, "same" if quartiles overlap; old text for text.
 
@@ -272,67 +257,6 @@ def _change(was, row):
     return f"{ratio:7.2f} {f'{low / was_high:.2f} .. {high / was_low:.2f}':>18s}  {verdict}"
 
 
-def rms(values, truth) -> float:
-    """Return the RMS difference over the RMS of the truth, in float64."""
-    truth = np.asarray(truth, np.float64)
-    return float(
-        np.sqrt(np.mean((np.asarray(values, np.float64) - truth) ** 2) / np.mean(truth**2))
-    )
-
-
-def rounds(forms: dict, repeat: int, warm: int = 1) -> dict:
-    """Return milliseconds of each form in every round, name -> array (repeat,).
-
-    forms: name -> function that does the work and waits. Rounds alternate between all forms, so
-    other work on the machine affects all of them; `warm` rounds run first.
-    """
-    times: dict = {name: [] for name in forms}
-    for number in range(-warm, repeat):
-        for name, run in forms.items():
-            begin = time.perf_counter()
-            run()
-            if number >= 0:
-                times[name].append(1e3 * (time.perf_counter() - begin))
-    return {name: np.array(taken) for name, taken in times.items()}
-
-
-def peer_rows(
-    times: dict, bases: dict, errors: dict | None = None, each: dict | None = None
-) -> list[dict]:
-    """Return rows of forms timed in rounds, each with its ratio to a base within a round.
-
-    bases: name of a form -> name of its base: "over" is the base's time over the form's. errors:
-    text of the error of each, if known. each: frames per call of a form, by default 1.
-    """
-    each, errors = each or {}, errors or {}
-    scaled = {name: taken / each.get(name, 1) for name, taken in times.items()}
-    rows = []
-    for name, taken in scaled.items():
-        row = {"name": name, **quartiles(taken)}
-        if bases.get(name) in scaled:
-            row |= {"base": bases[name], **quartiles(scaled[bases[name]] / taken, "over")}
-        rows.append(row | {"error": errors.get(name, "")})
-    return rows
-
-
-def show(rows: list[dict]):
-    """Print rows of `peer_rows`."""
-    for row in rows:
-        if "failed" in row:
-            print(f"{row['name']:42s} {row['failed']}", flush=True)
-            continue
-        over = (
-            f"{row['base']} over it {row['over_p50']:.2f} ({row['over_p25']:.2f} .. {row['over_p75']:.2f})"
-            if "base" in row
-            else ""
-        )
-        print(
-            f"{row['name']:42s} {row['ms_p50']:9.3f} ms ({row['ms_p25']:.3f} .. {row['ms_p75']:.3f})  {over:50s} "
-            f"{row['error']}",
-            flush=True,
-        )
-
-
 def compared(
     arguments,
     bench: str,
@@ -345,8 +269,8 @@ def compared(
     **settings,
 ):
     """Time forms in turns for `--repeat` rounds, print their rows and finish."""
-    rows = peer_rows(rounds(forms, arguments.repeat, warm=2), bases, errors, each)
-    show(rows)
+    rows = compare_times(time_in_turns(forms, arguments.repeat, warm=2), bases, errors, each)
+    print_times(rows)
     finish(arguments, bench, device, rows, old, repeat=arguments.repeat, **settings)
 
 

@@ -15,7 +15,7 @@ from triple_summary import BAND, summary
 from gpusim.domain.errors import BadFile
 from gpusim.io.atomic import atomic_path
 
-FIGURES = ("stages", "scaling")  # results with a figure
+FIGURES = ("suite", "scaling")  # results with a figure
 
 
 def main():
@@ -128,36 +128,53 @@ def _ratio(row, key):
     return f"{row[f'{key}_p50']:.2f} ({row[f'{key}_p25']:.2f} .. {row[f'{key}_p75']:.2f})"
 
 
-def _stages(result):
+def _suite(result):
+    """Yield the scores, and the rows of the largest frames."""
+    yield "Scores: " + ", ".join(
+        f"{name} {'-' if score is None else f'{score:.2f}'}"
+        for name, score in result["scores"].items()
+    )
     columns = (
-        "stage",
-        "ms",
-        "quartiles",
+        "stage or pipeline",
+        "ms p20",
+        "p50",
+        "p80",
         "GB/s",
         "GFLOP/s",
-        "x floor",
+        "attained",
         "bound",
-        "build ms",
         "rms error",
         "max error",
     )
-    rows = [
-        (row["name"], "no speed: verification failed", *[""] * 8)
-        if "failed" in row
-        else (
-            row["name"],
-            *_times(row),
-            _number(row["gbps"]),
-            _number(row["gflops"]),
-            _number(row["ratio_to_floor"], ".2g"),
-            row["bound"] or "",
-            _number(row["build_ms"]),
-            f"{row['rel_rms_error']:.1e}",
-            f"{row['max_error']:.1e}",
+    rows = []
+    for row in largest(result["rows"]):
+        name = row["name"].rpartition(" ")[0]
+        if not row["verified"]:
+            rows.append((name, f"no speed: {row['failed']}", *[""] * 8))
+            continue
+        times = (_number(row[f"ms_{part}"]) for part in ("p20", "p50", "p80"))
+        count = row["operations"]
+        rows.append(
+            (
+                name,
+                *times,
+                _number(row["bytes"] / row["ms_p50"] / 1e6),
+                _number(None if count is None else count / row["ms_p50"] / 1e6),
+                _number(row["attained"], ".2f"),
+                row["bound"] or "",
+                *(_number(row[key], ".1e") for key in ("rel_rms_error", "max_error")),
+            )
         )
-        for row in result["rows"]
-    ]
     yield _markdown(columns, rows)
+
+
+def largest(rows: list[dict]) -> list[dict]:
+    """Return the rows of the suite's largest frames."""
+    area = {
+        row["size"]: int(row["size"].split("x")[0]) * int(row["size"].split("x")[1]) for row in rows
+    }
+    most = max(area.values())
+    return [row for row in rows if area[row["size"]] == most]
 
 
 def _loops(result):
@@ -341,11 +358,11 @@ def _cells(result):
 
 
 TABLES = {
-    "stages": _stages,
+    "suite": _suite,
     "loops": _loops,
     "scaling": _scaling,
     "threads": _threads,
-    "compare": _peers,
+    "peers": _peers,
     "noise": _peers,
     "field": _peers,
     "fusion": _peers,

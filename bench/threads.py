@@ -10,8 +10,10 @@ whether this worked. The speed-up is valid only on cores without other work.
 
 import os
 
-from results import add_size, cores, finish, in_process, parser, ready, require_cpu, start
+from results import add_size, finish, in_process, parser, ready, require_cpu, start
 from scaling import options, settings, shown
+
+from gpusim.bench.machine import count_cores
 
 BANDS = 31
 LIMITS = "POCL_MAX_PTHREAD_COUNT", "POCL_CPU_MAX_CU_COUNT"
@@ -31,7 +33,7 @@ def main():
     device, old = ready(arguments, "threads")
     require_cpu(device, "it counts processor threads")
     given, rows = settings(arguments, device), []
-    for number in counts(cores()):
+    for number in counts(count_cores()):
         row = in_process(
             "frames",
             {**given, "size": arguments.size, "bands": BANDS, "threads": number},

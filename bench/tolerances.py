@@ -3,7 +3,7 @@
     python bench/tolerances.py --device opencl --size 1920x1080 --json bench/results/tolerances-NAME.json
 
 Frames are new cubes to raw. Cubes of 31 bands are on the device; for the baseline
-(bench/baseline.py) they are on the host, which computes it. The baseline makes the same frame as
+(gpusim/bench/baseline.py) they are on the host, which computes it. The baseline makes the same frame as
 gpusim without a tolerance. Errors are in the mean electrons (gpusim/judge/truth.py). Predicted
 times are for all stages of a frame, including codes, and are compared with measured times of these
 stages. The result has a row for every question; the table has one for every tolerance, with
@@ -15,12 +15,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from baseline import Baseline
 from frames import SECONDS, cube, resident_scene
-from results import add_repeat, add_size, finish, parser, quartiles, ready, rms, rounds, start
+from results import add_repeat, add_size, finish, parser, ready, start
 from triple_scenes import TOLERANCES
 
 import gpusim as gs
+from gpusim.bench.baseline import Baseline
+from gpusim.bench.timing import find_quartiles, find_rms, time_in_turns
 from gpusim.domain.content import Cube
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.judge.truth import true_mean
@@ -89,7 +90,9 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
     )
     steady = GPU_STEADY if device.is_gpu else STEADY
     forms = {name: lambda loop=loop: frames(loop, scenes, steady) for name, loop in loops.items()}
-    walls = rounds({**forms, "baseline": lambda: baseline.raw(values, SECONDS)}, repeat, warm=1)
+    walls = time_in_turns(
+        {**forms, "baseline": lambda: baseline.raw(values, SECONDS)}, repeat, warm=1
+    )
     exposures = {
         name: simulator.expose(scenes[0], SECONDS) for name, simulator in simulators.items()
     }
@@ -101,12 +104,12 @@ def asked(device, camera, picture, speeds, repeat) -> list[dict]:
             {
                 "name": f"{camera.name}, {picture.name}, {name}",
                 "tolerance": name,
-                **quartiles(taken),
-                **quartiles(walls[None] / steady / taken, "exact"),
-                **quartiles(walls["baseline"] / taken, "baseline"),
+                **find_quartiles(taken),
+                **find_quartiles(walls[None] / steady / taken, "exact"),
+                **find_quartiles(walls["baseline"] / taken, "baseline"),
                 "predicted_ms": sum(frame_ms(simulators[name], plan, speeds).values()),
                 "stages_ms": measured,
-                "error": rms(device.numpy(exposures[name].mean), truth),
+                "error": find_rms(device.numpy(exposures[name].mean), truth),
                 "predicted": own.account.total.rms,
                 "met": own.verdict.is_met,
                 "planes": None if plan.find(Blur) is None else plan.count,
@@ -150,10 +153,12 @@ def by_tolerance(rows) -> list[dict]:
             {
                 "tolerance": name,
                 **{
-                    key: quartiles([row[f"{key}_p50"] for row in own], key)
+                    key: find_quartiles([row[f"{key}_p50"] for row in own], key)
                     for key in ("exact", "baseline")
                 },
-                "time": quartiles([row["predicted_ms"] / row["stages_ms"] for row in own], "time"),
+                "time": find_quartiles(
+                    [row["predicted_ms"] / row["stages_ms"] for row in own], "time"
+                ),
                 "error": float(np.median([row["error"] for row in own])),
                 "met": sum(row["met"] for row in own),
                 "count": len(own),

@@ -10,8 +10,9 @@ from collections import defaultdict
 from contextlib import contextmanager
 
 import numpy as np
-from results import add_repeat, count, finish, parser, quartiles, ready, show, start
+from results import add_repeat, count, finish, parser, ready, start
 
+from gpusim.bench.timing import find_quartiles, print_times
 from gpusim.cli.options import size
 from gpusim.domain.errors import OutOfRange, one_line
 from gpusim.kernels.common import fft
@@ -135,8 +136,8 @@ def main():
             for stage, value in once().items():
                 if number >= 0:
                     times[f"{run}: {stage.strip()}"].append(value / 1e3)
-    rows = [{"name": name, **quartiles(taken), "error": ""} for name, taken in times.items()]
-    show(rows)
+    rows = [{"name": name, **find_quartiles(taken), "error": ""} for name, taken in times.items()]
+    print_times(rows)
     finish(arguments, "transforms", device, rows, old, period=period, repeat=arguments.repeat)
 
 

@@ -20,11 +20,12 @@ from pathlib import Path
 
 import numpy as np
 import triple_judge
-from results import count, finish, load, parser, ready, rms, start
+from results import count, finish, load, parser, ready, start
 from triple_scenes import DEVELOPMENT, HELD_OUT, TOLERANCES, triple
 from triple_summary import summary
 
 import gpusim as gs
+from gpusim.bench.timing import find_rms
 from gpusim.domain.account import Tolerance
 from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.judge.speeds import frame_ms
@@ -319,8 +320,8 @@ def compared(question, seconds: float, mean, truth) -> dict:
         return {"brute": {"refused": str(refusal)}}
     return {
         "brute": {
-            "truth": rms(np.maximum(truth, 0), own),  # sums are not negative
-            "frame": rms(mean, own),
+            "truth": find_rms(np.maximum(truth, 0), own),  # sums are not negative
+            "frame": find_rms(mean, own),
             "truth_sigma": Error.between(truth, own, question.camera.sensor.read_sigma).max_sigma,
         }
     }

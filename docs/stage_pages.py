@@ -18,13 +18,6 @@ TITLES = {
     "processor": "Image processor: from raw to colors",
     "display": "Display: from colors to codes",
 }
-HEADS = {
-    "ms_p50": "p50 ms",
-    "gbps": "GB/s",
-    "ratio_to_floor": "x floor",
-    "rel_rms_error": "rms error",
-    "max_error": "max error",
-}
 METRICS = {
     "peak": "of the largest value",
     "local": "of each value",
@@ -46,43 +39,12 @@ def write(folder, keep):
 
 
 def load_results() -> list[dict]:
-    """Return the stored results of bench/stages.py, processors first."""
+    """Return the stored results of `gpusim bench run`, processors first."""
     found = [
         json.loads(path.read_text())
-        for path in sorted((ROOT / "bench" / "results").glob("stages-*.json"))
+        for path in sorted((ROOT / "bench" / "results").glob("suite-*.json"))
     ]
-    return sorted(
-        found or read_tables(), key=lambda result: "NVIDIA" in result["machine"]["device"]
-    )
-
-
-def read_tables() -> list[dict]:
-    """Return the results in the stage tables of bench/README.md, used if no result is stored."""
-    stored = (ROOT / "bench" / "README.md").read_text()
-    results = []
-    for text in (
-        stored.partition("<!-- stages -->")[2]
-        .partition("<!-- end of stages -->")[0]
-        .split("\n## ")[1:]
-    ):
-        lines = [
-            [cell.strip() for cell in line.strip("|").split("|")]
-            for line in text.split("\n")
-            if line.startswith("| ")
-        ]
-        rows = [dict(zip(lines[0], line, strict=True)) for line in lines[1:]]
-        results.append(
-            {
-                "machine": {"device": text.partition("\n")[0]},
-                "device": "",
-                "size": (1920, 1080),
-                "rows": [
-                    {"name": row["stage"], **{key: float(row[head]) for key, head in HEADS.items()}}
-                    for row in rows
-                ],
-            }
-        )
-    return results
+    return sorted(found, key=lambda result: "NVIDIA" in result["machine"]["device"])
 
 
 def page(name, speeds, figure):
@@ -157,7 +119,7 @@ def speed(name, speeds):
         (result, row)
         for result in speeds
         for row in result["rows"]
-        if row["name"] == name and "failed" not in row
+        if row["name"] == f"{name} {row['size']}" and row["verified"]
     ]
     if not rows:
         return
@@ -165,7 +127,7 @@ def speed(name, speeds):
         ".. list-table::",
         "   :header-rows: 1",
         "",
-        *cells("device", "frame", "ms", "GB/s", "times the floor", "rms error", "largest error"),
+        *cells("device", "frame", "ms", "GB/s", "attained", "rms error", "largest error"),
     )
     for result, row in rows:
         device = result["machine"]["device"] + (
@@ -173,10 +135,10 @@ def speed(name, speeds):
         )
         yield from cells(
             device,
-            "x".join(map(str, result["size"])),
+            row["size"],
             f"{row['ms_p50']:.3g}",
-            f"{row['gbps']:.3g}",
-            "" if row["ratio_to_floor"] is None else f"{row['ratio_to_floor']:.2g}",
+            f"{row['bytes'] / row['ms_p50'] / 1e6:.3g}",
+            "" if row["attained"] is None else f"{row['attained']:.2f}",
             f"{row['rel_rms_error']:.1e}",
             f"{row['max_error']:.1e}",
         )

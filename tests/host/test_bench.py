@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 BENCH = Path(__file__).parents[2] / "bench"
@@ -15,6 +16,7 @@ sys.path.append(str(BENCH))
 import results  # noqa: E402
 import tables  # noqa: E402
 
+from gpusim.bench import timing  # noqa: E402
 from gpusim.domain.errors import BadFile  # noqa: E402
 from gpusim.kernels.stage import stage_module, stage_names  # noqa: E402
 
@@ -51,11 +53,16 @@ def result(bench="noise", rows=(), **more):
 
 
 STAGE = {
-    "gbps": 8.0,
-    "gflops": None,
-    "ratio_to_floor": 2.0,
+    "kind": "stage",
+    "size": "64x48",
+    "verified": True,
+    "ms_p20": 1.0,
+    "ms_p50": 2.0,
+    "ms_p80": 3.0,
+    "bytes": 16_000_000,
+    "operations": None,
+    "attained": 0.5,
     "bound": None,
-    "build_ms": 5.0,
     "rel_rms_error": 1e-7,
     "max_error": 0.0,
 }
@@ -70,13 +77,19 @@ FRAME = {
 }
 EXAMPLES = [
     result(
-        "stages",
+        "suite",
         [
-            timed("optics.blur", 1.0, 2.0, 3.0, **STAGE),
-            {"name": "optics.falloff", "failed": "error 1"},
+            STAGE | {"name": "optics.blur 64x48"},
+            STAGE | {"name": "optics.blur 32x24", "size": "32x24"},
+            {
+                "name": "optics.falloff 64x48",
+                "size": "64x48",
+                "verified": False,
+                "failed": "error 1",
+            },
         ],
-        size=[64, 48],
         limits={"copy_gbps": 10.0, "fma_gflops": 100.0},
+        scores={"optics": None, "all": 0.5},
     ),
     result("loops", [timed("a loop", 1.0, 2.0, 4.0, events_ms=1.0, check="rms 1")], tolerance=None),
     result(
@@ -95,7 +108,7 @@ EXAMPLES = [
         ],
     ),
     result(
-        "compare",
+        "peers",
         [
             timed("SciPy", 7.0, 8.0, 9.0, error="rms 1"),
             {"name": "torch", "failed": "not installed"},
@@ -198,8 +211,8 @@ def test_tables_are_made_of_the_results_alone(stored):
         "pasted noise" in once and once.count("pasted") == 1
     )  # nothing stored backs it: it is left
     for row in (
-        "| optics.blur | 2 | 1 .. 3 | 8 |  | 2 |  | 5 | 1.0e-07 | 0.0e+00 |",
-        "| optics.falloff | no speed: verification failed |",
+        "| optics.blur | 1 | 2 | 3 | 8 |  | 0.50 |  | 1.0e-07 | 0.0e+00 |",
+        "| optics.falloff | no speed: error 1 |",
         "| a loop | 2 | 1 .. 4 | 1 | 2.00 | rms 1 |",
         "| 1920x1080, 31 bands | 2.07 | 1 .. 4 | 1 | 1.00 | 4 | 100 | 2 | 1 | 4 |",
         "| 1280x720, 31 bands | 1.84 | 1 .. 2 | 2 | 2.00 |",
@@ -282,8 +295,8 @@ def test_against_warns_of_another_machine_in_one_line(key):
 
 
 def test_quartiles_and_ratios_are_of_the_rounds():
-    rows = results.peer_rows(
-        {"base": 2.0 * results.np.arange(1, 6), "form": results.np.full(5, 2.0)},
+    rows = timing.compare_times(
+        {"base": 2.0 * np.arange(1, 6), "form": np.full(5, 2.0)},
         {"form": "base"},
         {"form": "rms 1"},
         {"form": 2},
@@ -325,7 +338,7 @@ def test_operations_of_a_stage_grow_with_its_pixels(name):
 
 def test_rounds_alternate_and_leave_the_warm_ones_out():
     order = []
-    times = results.rounds(
+    times = timing.time_in_turns(
         {"a": lambda: order.append("a"), "b": lambda: order.append("b")}, repeat=2, warm=1
     )
     assert order == ["a", "b"] * 3 and {name: len(taken) for name, taken in times.items()} == {
@@ -352,19 +365,14 @@ def run(monkeypatch, capsys):
     [
         ("tables.py", ("--results", "missing"), "is not a folder"),
         ("tables.py", ("--readme", "missing/README.md"), "cannot be read"),
-        ("stages.py", ("--device", "nonsense"), "unknown device"),
-        (
-            "stages.py",
-            ("--device", "numpy", "--stage", "optics.blurr"),
-            "did you mean 'optics.blur'",
-        ),
+        ("noise.py", ("--device", "nonsense"), "unknown device"),
         ("loops.py", ("--device", "numpy", "--size", "0x0"), "size = 0 x 0"),
         ("loops.py", ("--device", "numpy", "--size", "big"), "wanted COLSxROWS"),
-        ("compare.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
+        ("noise.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
         ("scaling.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
         ("scaling.py", ("--device", "numpy", "--camera", "nix"), "unknown camera"),
         ("threads.py", ("--device", "numpy"), "an OpenCL device of the CPU"),
-        ("compare.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
+        ("noise.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
     ],
 )
 def test_mistakes_are_said_in_one_line(script, arguments, said, run):
@@ -378,7 +386,7 @@ def test_mistakes_are_said_in_one_line(script, arguments, said, run):
         ("no JSON", "is no JSON"),
         ("[]", "is no result"),
         ('{"bench": "noise"}', "is no result"),
-        (json.dumps(EXAMPLES[0]), "is a result of 'stages'; wanted one of 'noise'"),
+        (json.dumps(EXAMPLES[0]), "is a result of 'suite'; wanted one of 'noise'"),
     ],
 )
 def test_what_is_no_result_is_refused(text, said, run, tmp_path):
@@ -392,21 +400,21 @@ def test_table_of_a_result_that_lacks_something_is_refused(stored):
     (stored / "loops-here.json").write_text(json.dumps(lacking))
     with pytest.raises(BadFile, match=r"loops-here.json: lacks values of its table"):
         tables.filled(
-            marks("stages", "loops", "scaling", "threads", "compare", "color"),
+            marks("suite", "loops", "scaling", "threads", "peers", "color"),
             tables.stored_results(stored),
         )
 
 
 def test_command_writes_the_readme(stored, tmp_path):
-    for name in ("stages", "scaling"):  # they have figures, which take seconds
+    for name in ("suite", "scaling"):  # they have figures, which take seconds
         (stored / f"{name}-here.json").unlink()
     readme = tmp_path / "README.md"
-    readme.write_text(marks("loops", "threads", "compare", "triples", "tolerances", "color"))
+    readme.write_text(marks("loops", "threads", "peers", "triples", "tolerances", "color"))
     subprocess.run(
         [sys.executable, BENCH / "tables.py", "--results", stored, "--readme", readme], check=True
     )
     assert readme.read_text() == tables.filled(
-        marks("loops", "threads", "compare", "triples", "tolerances", "color"),
+        marks("loops", "threads", "peers", "triples", "tolerances", "color"),
         tables.stored_results(stored),
     )
 

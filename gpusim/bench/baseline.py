@@ -27,7 +27,9 @@ class Baseline:
         whole = np.concatenate([tables, tables[:, -2 + self.plan.period[0] % 2 : 0 : -1]], axis=1)
         self.tables = np.ascontiguousarray(whole[:, : self.plan.period[0], :cols], np.float32)
         assert tables.shape[1:] == (rows, cols)  # quarters
-        self.mix = self.plan.find(Blur).mix.astype(np.float32)
+        blur = self.plan.find(Blur)
+        assert blur is not None  # the camera has a lens
+        self.mix = blur.mix.astype(np.float32)
         self.before = [
             (length - n) // 2 for length, n in zip(self.plan.period, scene.shape, strict=True)
         ]

@@ -1,0 +1,75 @@
+"""`gpusim bench peers`: whole tasks by gpusim and by other libraries."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from gpusim.cli.options import DEVICE_HELP, Options, option, size, whole
+from gpusim.domain.errors import UnknownName
+
+TEXTS = {"help": "whole tasks by gpusim and by other libraries that are installed, with errors"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PeersRequest(Options):
+    """Options of `gpusim bench peers`."""
+
+    device: str = option(default="auto", help=DEVICE_HELP)
+    task: list[str] | tuple = option(
+        default=(),
+        action="append",
+        metavar="NAME",
+        help="frame, demosaic, spread or noise; may be repeated (default: all)",
+    )
+    size: tuple[int, int] | None = option(
+        type=size, metavar="COLSxROWS", help="size of the frame (default: 1920x1080)"
+    )
+    tolerance: float = option(
+        default=4e-4, type=float, help="relative RMS error of a frame (default: 4e-4); 0: none"
+    )
+    repeat: int = option(default=9, type=whole(1, 9999), help="rounds of all forms (default: 9)")
+    json: str | None = option(metavar="FILE", help="also write the rows to a JSON file")
+
+
+def peers(request: PeersRequest) -> int:
+    """Run `gpusim bench peers`.
+
+    Args:
+        request: Options of the command.
+
+    Returns:
+        The exit status.
+
+    Raises:
+        GpusimError: If an option or a file is wrong.
+    """
+    from datetime import UTC, datetime
+
+    from gpusim.backends import open_device
+    from gpusim.bench.machine import Watch, find_commit
+    from gpusim.bench.peers import TASKS, time_peers
+    from gpusim.bench.result import write_result
+    from gpusim.bench.timing import print_times
+    from gpusim.data.charts import checked_size
+    from gpusim.io.atomic import check_output
+
+    check_output(request.json)
+    size, tasks = checked_size(request.size or (1920, 1080)), request.task or TASKS
+    for name in tasks:
+        if name not in TASKS:
+            raise UnknownName("task", name, TASKS)
+    device, repeat = open_device(request.device), request.repeat
+    tolerance = request.tolerance or None
+    request.refuse_unread("bench peers")
+    watch, (commit, dirty) = Watch(device), find_commit()
+    rows = time_peers(device, tasks, size, tolerance, repeat)
+    print_times(rows)
+    facts = watch.facts()
+    for warning in facts["warnings"]:
+        print(f"warning: {warning}")
+    if request.json:
+        told: dict[str, Any] = {"bench": "peers", "device": device.name, "machine": facts}
+        told |= {"commit": commit, "dirty": dirty}
+        told |= {"date": datetime.now(UTC).isoformat(timespec="seconds"), "size": size}
+        told |= {"tolerance": tolerance, "repeat": repeat}
+        write_result(told | {"rows": rows}, request.json)
+    return 0
