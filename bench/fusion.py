@@ -10,10 +10,10 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from frames import SECONDS, cube
 from results import add_repeat, add_size, compared, parser, ready, start
 
 from gpusim.bench.baseline import Baseline
+from gpusim.bench.loops import SECONDS, make_cube
 from gpusim.bench.timing import find_rms
 from gpusim.data.charts import chart
 from gpusim.domain.account import Tolerance
@@ -37,7 +37,7 @@ def main():
     camera = open_camera("phone")
     camera = replace(camera, optics=replace(camera.optics, f_number=2.8))
     scene = chart("deadleaves", size=arguments.size, surfaces="objects")
-    values = cube(scene)
+    values = make_cube(scene)
     scene = replace(scene, content=Cube(scene.wavelengths, values))
     exact = Simulator(camera, device=device, reach=BORDER_REACH)
     forms = {"per band, SciPy": partial(Baseline(exact, scene).mean, values, SECONDS)}

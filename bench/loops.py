@@ -14,10 +14,10 @@ from dataclasses import replace
 from itertools import cycle
 
 import numpy as np
-from frames import LOOPS, SECONDS, WARM, Loops, cube, resident_scene
 from results import add_size, count, finish, parser, ready, start
 
 from gpusim.bench.baseline import Baseline
+from gpusim.bench.loops import LOOPS, SECONDS, WARM, Loops, make_cube, resident_scene
 from gpusim.bench.timing import compare_times, find_rms, time_in_turns
 from gpusim.data.charts import chart
 from gpusim.domain.content import Basis, Cube
@@ -46,7 +46,7 @@ class Scenes:
             )
             for k in range(3)
         ]
-        bands = cube(picture)
+        bands = make_cube(picture)
         self.cubes = [
             replace(picture, content=Cube(picture.wavelengths, bands * np.float32(1 + 0.01 * k)))
             for k in range(3)
@@ -223,7 +223,7 @@ def _transfers(loops, simulator, scenes, only):
                 simulator, given[number % 3], "raw", np.array(simulator.device.numpy(last)), number
             )
 
-        loops.streamed(title, simulator, pinned, "raw", nbytes, check)
+        loops.time_stream(title, simulator, pinned, "raw", nbytes, check)
 
 
 def _changes(loops, simulator, base, scenes, only):

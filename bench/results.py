@@ -10,7 +10,6 @@ import argparse
 import contextlib
 import datetime
 import json
-import os
 import platform
 import subprocess
 import sys
@@ -297,34 +296,6 @@ class Tables:
         """Add a row to the last table."""
         self.rows.append({"name": name, "table": self.title, "cells": cells})
         print("  ", " | ".join((name, *cells)), flush=True)
-
-
-def in_process(module: str, settings: dict, environment: dict | None = None) -> dict:
-    """Return the dict from `one(**settings)` of a module here, run in a separate process.
-
-    {"failed": why} if it fails.
-    """
-    command = [
-        sys.executable,
-        "-c",
-        f"import {module}, json, sys; print(json.dumps({module}.one(**json.loads(sys.argv[1]))))",
-        json.dumps(settings),
-    ]
-    ended = subprocess.run(
-        command,
-        cwd=HERE,
-        capture_output=True,
-        text=True,
-        env={
-            **os.environ,
-            **(environment or {}),
-            "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE), os.environ.get("PYTHONPATH")])),
-        },
-    )
-    if ended.returncode == 0:
-        return json.loads(ended.stdout.splitlines()[-1])
-    last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
-    return {"failed": last.removeprefix("gpusim.domain.errors.")}
 
 
 def require_cpu(device, what: str):

@@ -91,9 +91,7 @@ def _head(result):
     shown += [result["camera"]] if "camera" in result else []
     shown += [f"scenes as {result['content']}"] if "content" in result else []
     if "tolerance" in result:
-        shown.append(
-            "exact" if result["tolerance"] is None else f"tolerance {result['tolerance']:g}"
-        )
+        shown.append("exact" if result["tolerance"] is None else f"tolerance {result['tolerance']}")
     shown += [
         f"{rate:.3g} {unit}"
         for key, unit in (("copy_gbps", "GB/s copied"), ("fma_gflops", "GFLOP/s measured"))

@@ -15,12 +15,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from frames import SECONDS, cube, resident_scene
 from results import add_repeat, add_size, finish, parser, ready, start
 from triple_scenes import TOLERANCES
 
 import gpusim as gs
 from gpusim.bench.baseline import Baseline
+from gpusim.bench.loops import SECONDS, make_cube, resident_scene
 from gpusim.bench.timing import find_quartiles, find_rms, time_in_turns
 from gpusim.domain.content import Cube
 from gpusim.judge.speeds import Speeds, frame_ms
@@ -74,7 +74,7 @@ def all_rows(arguments, device, speeds) -> list[dict]:
 
 def asked(device, camera, picture, speeds, repeat) -> list[dict]:
     """Return a row for every tolerance."""
-    values = cube(picture)
+    values = make_cube(picture)
     scenes = [
         resident_scene(device, replace(picture, content=Cube(picture.wavelengths, values * gain)))
         for gain in np.float32((1, 1.01))

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.bench import baseline
 from gpusim.bench.machine import count_cores
-from gpusim.bench.peers import Task
+from gpusim.bench.peer_task import Task
 from gpusim.bench.timing import find_rms
 from gpusim.data.charts import chart
 from gpusim.io.frame.dng import write_dng
@@ -42,7 +42,7 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
         for name in ("bilinear", "malvar")
     }
 
-    def judged(method, reference=None):
+    def judge(method, reference=None):
         """Return the form and its error as text.
 
         method(raw): gives a function that returns RGB (rows, cols, 3), 1 = white.
@@ -74,10 +74,10 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
             return lambda: np.moveaxis(baseline.bilinear(mosaic, 1 / WHITE), 0, 2)
         return partial(baseline.bilinear, mosaic, 1 / WHITE)
 
-    task.add("NumPy, bilinear", partial(judged, numpy, "bilinear"))
+    task.add("NumPy, bilinear", partial(judge, numpy, "bilinear"))
     for name in ("bilinear", "malvar", "adaptive", "best", "learned"):
         task.add(
-            f"gpusim, {name}", partial(judged, ours(name), name if name in references else None)
+            f"gpusim, {name}", partial(judge, ours(name), name if name in references else None)
         )
     others = (
         ("OpenCV, bilinear", partial(_opencv, "COLOR_BayerBG2RGB"), "bilinear", "cv2"),
@@ -97,7 +97,7 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
         ("kornia", _kornia, "bilinear", "kornia"),
     )
     for name, method, same, module in others:
-        task.add(name, partial(judged, method, same), module)
+        task.add(name, partial(judge, method, same), module)
     return task
 
 
@@ -118,7 +118,7 @@ def _opencv(code, raw):
     import cv2
 
     cv2.setNumThreads(count_cores())
-    return _scaled(lambda: cv2.demosaicing(raw, getattr(cv2, code)), raw)
+    return _scale_white(lambda: cv2.demosaicing(raw, getattr(cv2, code)), raw)
 
 
 def _colour(name, raw):
@@ -145,7 +145,7 @@ def _libraw(name, raw):
         user_wb=[1, 1, 1, 1],
         output_color=rawpy.ColorSpace.raw,
     )
-    return _scaled(develop, raw)
+    return _scale_white(develop, raw)
 
 
 def _kornia(raw):
@@ -158,6 +158,6 @@ def _kornia(raw):
     return lambda: raw_to_rgb(there, CFA.BG)[0].permute(1, 2, 0).numpy()
 
 
-def _scaled(run, raw):
-    """Return the picture with white 1, on the judged part of the mosaic; scaling is not timed."""
+def _scale_white(run, raw):
+    """Return the picture with white 1, on the judge part of the mosaic; scaling is not timed."""
     return (lambda: run() / WHITE) if raw.shape == ERROR_SIZE[::-1] else run

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.bench.baseline import Baseline
 from gpusim.bench.machine import count_cores
-from gpusim.bench.peers import Task
+from gpusim.bench.peer_task import Task
 from gpusim.bench.timing import find_rms
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube

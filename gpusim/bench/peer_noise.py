@@ -8,7 +8,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.bench import baseline
 from gpusim.bench.machine import count_cores
-from gpusim.bench.peers import Task
+from gpusim.bench.peer_task import Task
 from gpusim.kernels.stage import public_function
 
 LEVEL = 7.3  # [e-] at which counts are compared with the law
@@ -33,21 +33,21 @@ def make_noise(device: Device, size: tuple[int, int]) -> Task:
     flat = np.full((rows, cols), LEVEL, np.float32)
     task = Task("noise", "NumPy")
 
-    def judged(make):
+    def judge(make):
         """Return a form and its error. make(mean, read): gives the function of a frame."""
         return make(mean, READ), _compare_counts(make(flat, 0.0)())
 
-    task.add("NumPy", partial(judged, _by_numpy))
-    task.add("PyTorch", partial(judged, partial(_by_torch, "cpu")), "torch")
+    task.add("NumPy", partial(judge, _by_numpy))
+    task.add("PyTorch", partial(judge, partial(_by_torch, "cpu")), "torch")
     if device.is_gpu and find_spec("torch"):
         import torch
 
         if torch.cuda.is_available():
-            task.add("PyTorch, CUDA", partial(judged, partial(_by_torch, "cuda")), "torch")
-    task.add("GalSim", partial(judged, _by_galsim), "galsim")
-    task.add("scikit-image", partial(judged, _by_skimage), "skimage")
+            task.add("PyTorch, CUDA", partial(judge, partial(_by_torch, "cuda")), "torch")
+    task.add("GalSim", partial(judge, _by_galsim), "galsim")
+    task.add("scikit-image", partial(judge, _by_skimage), "skimage")
     for photon in ("fast", "exact") if device.has_fp64 else ("fast",):
-        task.add(f"gpusim, {photon}", partial(judged, partial(_by_gpusim, device, photon)))
+        task.add(f"gpusim, {photon}", partial(judge, partial(_by_gpusim, device, photon)))
     return task
 
 

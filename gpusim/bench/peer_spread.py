@@ -7,7 +7,7 @@ import scipy.fft
 from scipy.special import j1
 
 from gpusim.backends import Device
-from gpusim.bench.peers import Task
+from gpusim.bench.peer_task import Task
 from gpusim.kernels.stage import public_function
 
 PITCH, F_NUMBER = 1.4e-6, 2.8  # of a pixel [m]; of the lens
@@ -33,15 +33,15 @@ def make_spread(device: Device, bands: np.ndarray = BANDS) -> Task:
     q = bands * F_NUMBER / PITCH
     truth, task = _integrate(q, NODES), Task("spread", "SciPy, Airy's pattern")
 
-    def judged(run: Callable[[], np.ndarray]):
+    def judge(run: Callable[[], np.ndarray]):
         found = np.asarray(run(), np.float64)
         most = np.abs(found - truth) / truth.max(axis=(1, 2), keepdims=True)
         return run, f"max {most.max():.1e}"
 
-    task.add(task.base, lambda: judged(lambda: _integrate(q, FEW_NODES)))
-    task.add("GalSim", lambda: judged(lambda: _by_galsim(q)), "galsim")
-    task.add("prysm", lambda: judged(lambda: _by_prysm(bands)), "prysm")
-    task.add("gpusim", lambda: judged(lambda: _by_gpusim(q, device)))
+    task.add(task.base, lambda: judge(lambda: _integrate(q, FEW_NODES)))
+    task.add("GalSim", lambda: judge(lambda: _by_galsim(q)), "galsim")
+    task.add("prysm", lambda: judge(lambda: _by_prysm(bands)), "prysm")
+    task.add("gpusim", lambda: judge(lambda: _by_gpusim(q, device)))
     return task
 
 

@@ -4,77 +4,19 @@ Every form of a task is timed in turns with the others, and has its error agains
 the same row. A library that is not installed has a row that says so.
 """
 
-from collections.abc import Callable, Sequence
-from importlib.util import find_spec
+from collections.abc import Sequence
 from typing import Any
 
 from gpusim.backends import Device
-from gpusim.bench.timing import compare_times, time_in_turns
+from gpusim.bench.peer_demosaic import make_demosaic
+from gpusim.bench.peer_frame import make_frame
+from gpusim.bench.peer_noise import make_noise
+from gpusim.bench.peer_spread import make_spread
+from gpusim.bench.peer_task import Task
 from gpusim.domain.errors import UnknownName
 from gpusim.domain.progress import announced
 
-# module -> package that installs it
-PACKAGES = {
-    "cv2": "opencv-python-headless",
-    "colour_demosaicing": "colour-demosaicing",
-    "rawpy": "rawpy",
-    "torch": "torch",
-    "ducc0": "ducc0",
-    "kornia": "kornia",
-    "galsim": "galsim",
-    "prysm": "prysm",
-    "skimage": "scikit-image",
-}
 TASKS = ("frame", "demosaic", "spread", "noise")
-Form = tuple[Callable[[], Any], str]  # does the task and waits; its error in words
-
-
-class Task:
-    """The forms of a task.
-
-    Args:
-        name: Name of the task.
-        base: Name of the form that the others are compared with.
-    """
-
-    def __init__(self, name: str, base: str):
-        self.name, self.base = name, base
-        self._forms: dict[str, Callable[[], Any]] = {}
-        self._errors: dict[str, str] = {}
-        self._missing: list[dict[str, Any]] = []
-
-    def add(self, name: str, make: Callable[[], Form], *modules: str) -> None:
-        """Add a form.
-
-        Args:
-            name: Name of the form.
-            make: Returns the form. It is called at once, if the modules are installed.
-            modules: Modules that it needs.
-        """
-        name = f"{self.name}: {name}"
-        missing = [PACKAGES[module] for module in modules if find_spec(module) is None]
-        if missing:
-            failed = f"not installed: pip install {' '.join(missing)}"
-            self._missing.append({"name": name, "failed": failed})
-            return
-        try:
-            self._forms[name], self._errors[name] = make()
-        except ImportError as error:  # installed, but not usable here
-            self._missing.append({"name": name, "failed": f"cannot be imported: {error}"})
-
-    def time(self, repeat: int) -> list[dict[str, Any]]:
-        """Return a row for each form.
-
-        Args:
-            repeat: Rounds in which all forms are timed in turns.
-
-        Returns:
-            Rows with name, times [ms], ratios to the base, and error in words.
-        """
-        base = f"{self.name}: {self.base}"
-        times = time_in_turns(self._forms, repeat)
-        bases = {name: base for name in times if name != base}
-        return compare_times(times, bases, self._errors) + self._missing
 
 
 def make_task(
@@ -92,20 +34,12 @@ def make_task(
         UnknownName: There is no such task.
     """
     if name == "frame":
-        from gpusim.bench.peer_frame import make_frame
-
         return make_frame(device, size, tolerance)
     if name == "demosaic":
-        from gpusim.bench.peer_demosaic import make_demosaic
-
         return make_demosaic(device, size)
     if name == "spread":
-        from gpusim.bench.peer_spread import make_spread
-
         return make_spread(device)
     if name == "noise":
-        from gpusim.bench.peer_noise import make_noise
-
         return make_noise(device, size)
     raise UnknownName("task", name, TASKS)
 

@@ -1,7 +1,6 @@
 """`gpusim bench peers`: whole tasks by gpusim and by other libraries."""
 
 from dataclasses import dataclass
-from typing import Any
 
 from gpusim.cli.options import DEVICE_HELP, Options, option, size, whole
 from gpusim.domain.errors import UnknownName
@@ -42,12 +41,10 @@ def peers(request: PeersRequest) -> int:
     Raises:
         GpusimError: If an option or a file is wrong.
     """
-    from datetime import UTC, datetime
-
     from gpusim.backends import open_device
-    from gpusim.bench.machine import Watch, find_commit
+    from gpusim.bench.machine import Watch
+    from gpusim.bench.measured import write_rows
     from gpusim.bench.peers import TASKS, time_peers
-    from gpusim.bench.result import write_result
     from gpusim.bench.timing import print_times
     from gpusim.data.charts import checked_size
     from gpusim.io.atomic import check_output
@@ -60,16 +57,12 @@ def peers(request: PeersRequest) -> int:
     device, repeat = open_device(request.device), request.repeat
     tolerance = request.tolerance or None
     request.refuse_unread("bench peers")
-    watch, (commit, dirty) = Watch(device), find_commit()
+    watch = Watch(device)
     rows = time_peers(device, tasks, size, tolerance, repeat)
     print_times(rows)
-    facts = watch.facts()
-    for warning in facts["warnings"]:
+    for warning in watch.facts()["warnings"]:
         print(f"warning: {warning}")
     if request.json:
-        told: dict[str, Any] = {"bench": "peers", "device": device.name, "machine": facts}
-        told |= {"commit": commit, "dirty": dirty}
-        told |= {"date": datetime.now(UTC).isoformat(timespec="seconds"), "size": size}
-        told |= {"tolerance": tolerance, "repeat": repeat}
-        write_result(told | {"rows": rows}, request.json)
+        settings = {"size": size, "tolerance": tolerance, "repeat": repeat}
+        write_rows(request.json, "peers", watch, rows, **settings)
     return 0

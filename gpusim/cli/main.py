@@ -22,6 +22,7 @@ _PLACES = {
     "train-l3": ("train_l3", "TrainRequest", "train_l3", "TEXTS"),
     "verify": ("judges", "VerifyRequest", "verify", "VERIFY"),
     "bench run": ("bench_run", "RunRequest", "run", "TEXTS"),
+    "bench scaling": ("bench_scaling", "ScalingRequest", "scaling", "TEXTS"),
     "bench peers": ("bench_peers", "PeersRequest", "peers", "TEXTS"),
     "bench pareto": ("bench_pareto", "ParetoRequest", "pareto", "TEXTS"),
     "warmup": ("warmup", "WarmupRequest", "warmup", "TEXTS"),

@@ -1,5 +1,7 @@
 """`gpusim bench peers`: errors that are right, and libraries that are not there."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -7,8 +9,8 @@ from gpusim.__main__ import start
 from gpusim.backends import open_device
 from gpusim.bench import peer_noise, peer_spread
 from gpusim.bench.peer_spread import BANDS, make_spread
-from gpusim.bench.peers import Task, make_task, time_peers
-from gpusim.domain.errors import UnknownName
+from gpusim.bench.peer_task import Task
+from gpusim.bench.peers import time_peers
 
 
 def test_a_library_that_is_missing_or_broken_is_said(monkeypatch):
@@ -17,7 +19,7 @@ def test_a_library_that_is_missing_or_broken_is_said(monkeypatch):
     def broken():
         raise ImportError("no module named 'pkg_resources'")
 
-    monkeypatch.setattr("gpusim.bench.peers.find_spec", lambda name: None)
+    monkeypatch.setattr("gpusim.bench.peer_task.find_spec", lambda name: None)
     task.add("GalSim", broken, "galsim")
     task.add("NumPy", broken)
     assert task.time(1) == [
@@ -63,10 +65,30 @@ def test_gpusims_forms_are_within_their_words():
         assert float(rows[name]["error"].split()[3].rstrip(")")) > 0  # p to two places: above 0.005
 
 
-def test_mistakes_are_said_in_one_line(monkeypatch, capsys):
-    with pytest.raises(UnknownName):
-        make_task("nosie", open_device("numpy"), (8, 8))
-    monkeypatch.setattr("sys.argv", ["gpusim", "bench", "peers", "--task", "nosie"])
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("peers --task nosie", "did you mean 'noise'"),
+        ("peers --repeat 0", "--repeat"),
+        ("scaling --device numpy --threads", "an OpenCL device of the processor"),
+        ("scaling --device numpy --content cub", "did you mean 'cube'"),
+        ("scaling --device numpy --size 64x48", "--size"),  # of --threads alone
+    ],
+)
+def test_mistakes_are_said_in_one_line(words, told, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["gpusim", "bench", *words.split()])
     assert start() == 2
     said = capsys.readouterr().err
-    assert said.count("\n") == 1 and "did you mean 'noise'" in said
+    assert said.count("\n") == 1 and told in said, said
+
+
+def test_cores_and_sizes_are_measured(monkeypatch, tmp_path, capsys):
+    """On one core, at most one is busy: PoCL has one thread, and the others wait."""
+    path = tmp_path / "threads.json"
+    words = f"scaling --device opencl --threads --size 160x96 --repeat 5 --json {path}"
+    monkeypatch.setattr("sys.argv", ["gpusim", "bench", *words.split()])
+    assert start() == 0
+    result = json.loads(path.read_text())
+    assert result["bench"] == "threads" and result["rows"][0]["threads"] == 1
+    assert result["rows"][0]["busy"] < 1.2
+    assert capsys.readouterr().out.count("\n") == len(result["rows"])

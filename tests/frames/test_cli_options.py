@@ -174,6 +174,25 @@ ROWS = {
         "json": ("--device numpy", "--json rows.json"),
         "append": ("--device numpy", "--append stored.json"),
     },
+    "bench peers": {
+        "device": ("--device numpy", "--device warp:cpu"),
+        "task": ("--device numpy", "--task noise"),
+        "size": ("--device numpy", "--size 64x48"),
+        "tolerance": ("--device numpy", "--tolerance 1e-3"),
+        "repeat": ("--device numpy", "--repeat 3"),
+        "json": ("--device numpy", "--json rows.json"),
+    },
+    "bench scaling": {
+        "device": ("--device numpy", "--device warp:cpu"),
+        "threads": ("--device opencl", "--threads"),
+        "size": ("--device opencl --threads", "--size 64x48"),
+        "only": ("--device numpy", "--only 8K"),
+        "camera": ("--device numpy", "--camera mono"),
+        "tolerance": ("--device numpy", "--tolerance none"),
+        "content": ("--device numpy", "--content materials"),
+        "repeat": ("--device numpy", "--repeat 7"),
+        "json": ("--device numpy", "--json rows.json"),
+    },
     "bench pareto": {
         "device": ("colorchecker --device numpy", "--device warp:cpu"),
         "camera": ("colorchecker --device numpy", "--camera mono"),
@@ -317,6 +336,8 @@ def record(monkeypatch):
     import gpusim.apps.warmup
     import gpusim.backends.probe
     import gpusim.bench.cold
+    import gpusim.bench.peers
+    import gpusim.bench.scaling
     import gpusim.bench.suite
     import gpusim.io.camera.learned
     import gpusim.judge.combinations
@@ -353,6 +374,12 @@ def record(monkeypatch):
         row = {"name": said(device, *names, sizes, settings), "verified": False, "failed": ""}
         return STORED | {"device": device.name, "rows": [row]}
 
+    def timed(*asked):
+        return [{"name": said(*asked), "failed": ""}]
+
+    def scaled(cases, **settings):
+        yield from timed(cases, settings)
+
     def warmed(device, cameras, tolerances):
         for asked in product(cameras, tolerances, gpusim.apps.warmup.SCENES):
             yield gpusim.apps.warmup.Warmed(said(device, *asked), 0.0, "")
@@ -361,7 +388,7 @@ def record(monkeypatch):
         row = dict.fromkeys(
             ("ms", "predicted_ms", "rms", "predicted", "p999_sigma", "max_sigma"), 1
         )
-        yield row | {"point": "a", "words": said(camera, scene, device)}
+        yield row | {"point": "a", "words": said(camera, scene, scene.shape, device)}
 
     probed = gpusim.backends.probe.devices
     for module, name, function in (
@@ -375,6 +402,8 @@ def record(monkeypatch):
         (gpusim.bench.suite, "measure", measured),
         (gpusim.bench.suite, "append_round", lambda stored, path, device: measured(device, [path])),
         (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),
+        (gpusim.bench.peers, "time_peers", timed),
+        (gpusim.bench.scaling, "measure_scaling", scaled),
         (gpusim.apps.warmup, "warm_up", warmed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),

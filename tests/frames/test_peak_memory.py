@@ -1,17 +1,12 @@
-"""bench/frames.py counts the memory that a device's arrays take."""
+"""The benchmark's loops count the memory that a device's arrays take."""
 
 import gc
-import sys
-from pathlib import Path
 
 import pytest
 
 from gpusim.backends.driver import cl_devices
 from gpusim.backends.opencl import OpenCLDevice
-
-sys.path.append(str(Path(__file__).parents[2] / "bench"))
-from frames import Peak
-from results import in_process
+from gpusim.bench.loops import Peak, time_in_process
 
 
 @pytest.mark.parametrize("on_host", [True, False])
@@ -32,8 +27,7 @@ def test_what_is_allocated_and_let_go_is_counted(on_host):
 
 
 def test_a_loop_is_measured():
-    row = in_process(
-        "frames",
+    row = time_in_process(
         {
             "device": "opencl:0",
             "size": (160, 96),

@@ -1,11 +1,14 @@
-"""Loops of frames and their timing; scaling.py and threads.py run `one` in processes."""
+"""Loops of frames and their timing. `time_loop` runs in a process of its own."""
 
+import json
 import os
 import resource
+import subprocess
 import sys
 import time
 import weakref
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -15,6 +18,7 @@ from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.domain.errors import DoesNotFit
 from gpusim.domain.memory import require_memory
+from gpusim.domain.scene import Scene
 from gpusim.io.camera.cameras import open_camera
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.choices import Blur
@@ -26,7 +30,7 @@ LONGEST = 2.0  # [s] of a loop
 BLOCK = 64  # rows of a cube per block
 
 
-def cube(picture) -> np.ndarray:
+def make_cube(picture: Scene) -> np.ndarray:
     """Return all bands of a chart, float32 (L, rows, cols)."""
     content = picture.content
     values = np.empty((len(content.wavelengths), *content.shape), np.float32)
@@ -62,7 +66,7 @@ class Loops:
                 frame(k + 1)
         self.add(name, walls, sum(ms.values()) / min(count, 20), check())
 
-    def streamed(self, name, simulator, scenes, output, nbytes, check):
+    def time_stream(self, name, simulator, scenes, output, nbytes, check):
         """Add a row for a stream of scenes from the host; the rate counts the samples."""
         walls = []
         for loop in range(LOOPS + 1):
@@ -104,11 +108,11 @@ class Peak:
     def __init__(self, device):
         self.device, self.now, self.most = device, 0, 0
         if device.kind == "opencl":
-            self._allocate, device._allocate = device._allocate, self._counted
+            self._allocate, device._allocate = device._allocate, self._count_allocation
         elif device.is_gpu:
             self.before = device._wp.get_mempool_used_mem_current(device.wp_device)
 
-    def _counted(self, nbytes):
+    def _count_allocation(self, nbytes):
         buffer, host = self._allocate(nbytes)
         if host is None:  # pyopencl's class has no weak references
             cl = self.device._cl
@@ -117,10 +121,12 @@ class Peak:
             )
         self.now += nbytes
         self.most = max(self.most, self.now)
-        weakref.finalize(buffer if host is None else host, self._returned, nbytes).atexit = False
+        weakref.finalize(
+            buffer if host is None else host, self._count_release, nbytes
+        ).atexit = False
         return buffer, host
 
-    def _returned(self, nbytes):
+    def _count_release(self, nbytes):
         self.now -= nbytes
 
     @property
@@ -133,39 +139,53 @@ class Peak:
         return None
 
 
-def one(
+def time_loop(
     device: str,
-    size,
+    size: tuple[int, int],
     bands: int,
-    tolerance: float | None,
+    tolerance: str | None,
     camera: str,
     repeat: int,
     content: str = "cube",
     threads: int | None = None,
-) -> dict:
+) -> dict[str, Any]:
     """Return the row of a loop with a new resident scene in every frame: times, planning, memory.
 
-    threads: cores that this process may use. bytes_predicted: the plan's. bytes_peak: peak of the
-    device's arrays with one of the two scenes [byte]; rss: peak memory of the process, with both
-    scenes. busy: processor time over wall time of the loops. Raises DoesNotFit before it allocates
-    memory, and errors of Simulator.
+    Args:
+        device: Name of the device.
+        size: Columns and rows.
+        bands: Of the scenes.
+        tolerance: Relative RMS error; None: every band.
+        camera: Name of the camera.
+        repeat: Most frames of a loop.
+        content: "cube" or "materials".
+        threads: Cores that this process may use; None: all.
+
+    Returns:
+        bytes_predicted is the plan's. bytes_peak is the peak of the device's arrays with one of the
+        two scenes [byte]; rss the peak memory of the process, with both scenes. busy is processor
+        time over wall time of the loops.
+
+    Raises:
+        DoesNotFit: Before memory is allocated.
+        GpusimError: The device or the camera cannot be opened.
     """
     if threads and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, sorted(os.sched_getaffinity(0))[:threads])
-    device = open_device(device)
-    _require_room(device, size, bands, content)
+    opened = open_device(device)
+    _require_room(opened, size, bands, content)
     picture = chart("deadleaves", size=size, wavelengths=np.linspace(400, 700, bands))
-    scenes = [resident_scene(device, scene) for scene in _two(picture, content)]
+    scenes = [resident_scene(opened, scene) for scene in _two(picture, content)]
     each = scenes[0].content.nbytes
-    peak = Peak(device)
-    loop = Simulator(open_camera(camera), device=device, tolerance=tolerance).loop(
+    peak = Peak(opened)
+    loop = Simulator(open_camera(camera), device=opened, tolerance=tolerance).loop(
         scenes[0], SECONDS
     )
     begun = time.perf_counter()
     loop.raw(seed=1)
-    device.sync()
+    opened.sync()
     first = 1e3 * (time.perf_counter() - begun)
-    loops, begun, used = Loops(device, repeat), time.perf_counter(), time.process_time()
+    loops, begun, used = Loops(opened, repeat), time.perf_counter(), time.process_time()
     loops.measure(
         f"{size[0]}x{size[1]}, {bands} bands",
         lambda k: loop.update(scene=scenes[k % 2]).raw(seed=1, first=k),
@@ -173,7 +193,7 @@ def one(
     busy = (time.process_time() - used) / (time.perf_counter() - begun)
     most, plan = peak.bytes, loop.plan
     begun = time.perf_counter()
-    Simulator(open_camera(camera), device=device, tolerance=tolerance).plan(scenes[0])
+    Simulator(open_camera(camera), device=opened, tolerance=tolerance).plan(scenes[0])
     planning = 1e3 * (time.perf_counter() - begun)
     return {
         **loops.rows[0],
@@ -201,7 +221,7 @@ def resident_scene(device, scene):
 
 def _two(picture, content):
     """Return the chart, and a slightly brighter copy."""
-    values = cube(picture) if content == "cube" else None
+    values = make_cube(picture) if content == "cube" else None
     for gain in np.float32((1, 1.01)):
         yield replace(
             picture,
@@ -226,3 +246,28 @@ def _rss():
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (
         1 if sys.platform == "darwin" else 1024
     )
+
+
+def time_in_process(
+    settings: dict[str, Any], environment: dict[str, str] | None = None
+) -> dict[str, Any]:
+    """Return the row of `time_loop`, run in a process of its own.
+
+    Args:
+        settings: Its arguments.
+        environment: Variables of the process, in addition to those of this one.
+
+    Returns:
+        The row, or {"failed": why}.
+    """
+    run = f"import json, sys; from {__name__} import time_loop; "
+    run += "print(json.dumps(time_loop(**json.loads(sys.argv[1]))))"
+    command = [sys.executable, "-c", run, json.dumps(settings)]
+    ended = subprocess.run(
+        command, capture_output=True, text=True, env={**os.environ, **(environment or {})}
+    )
+    if ended.returncode == 0:
+        found: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
+        return found
+    last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
+    return {"failed": last.removeprefix("gpusim.domain.errors.")}
