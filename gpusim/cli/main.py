@@ -23,6 +23,7 @@ _PLACES = {
     "verify": ("judges", "VerifyRequest", "verify", "VERIFY"),
     "bench run": ("bench_run", "RunRequest", "run", "TEXTS"),
     "bench peers": ("bench_peers", "PeersRequest", "peers", "TEXTS"),
+    "bench compare": ("bench_compare", "CompareRequest", "compare", "TEXTS"),
     "bench pareto": ("bench_pareto", "ParetoRequest", "pareto", "TEXTS"),
     "warmup": ("warmup", "WarmupRequest", "warmup", "TEXTS"),
     "devices": ("judges", "DevicesRequest", "list_devices", "DEVICES"),

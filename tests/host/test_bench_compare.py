@@ -1,0 +1,507 @@
+"""Comparisons of benchmarks: verdicts under known noise, statuses, refusals, tables and pages.
+
+Slowdowns are planted, so the truth is known. Rates of false alarms are binomial: each test states
+how likely it would fail if the rate were the promised one.
+"""
+
+import json
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from bench_results import fail_row, made_results, row_names, write_results
+
+from gpusim.bench.compare import compare_files, pair_rounds
+from gpusim.bench.noise import judge, moderate
+from gpusim.cli.main import main
+
+TABLES = 40  # of a simulation; a rate of 1 % gives more than 3 alarms with a probability of 0.1 %
+
+
+def quiet(rng, rows, rounds):
+    """Rounds of rows whose spreads differ, 0.3 to 2 %, and 1 % that all rows of a round share."""
+    spread = 0.006 * np.exp(0.6 * rng.standard_normal(rows))
+    return spread[:, None] * rng.standard_normal((2, rows, rounds)) + 0.01 * rng.standard_normal(
+        rounds
+    )
+
+
+def bursts(rng, rows, rounds):
+    """Quiet rounds, and other programs that slow 10 % of the time, eight rows in a sequence, by up to 2.2."""
+    starts = np.flatnonzero(rng.random(rounds * rows) < 0.1 / 8)
+    slow = np.zeros(rounds * rows)
+    for start in starts:
+        slow[start : start + rng.geometric(1 / 8)] = np.log(rng.uniform(1.1, 2.2))
+    hit = rng.random((rows, rounds)) < np.array([0.4, 0.7])[:, None, None]  # percentile, median
+    return quiet(rng, rows, rounds) + hit * slow.reshape(rounds, rows).T
+
+
+def flips(rng, rows, rounds):
+    """Quiet rounds, and 10 % of rounds in which a second core is free: 1.8 times faster."""
+    share = np.minimum(0.1 * rng.gamma(1, 1, rows), 0.6)[:, None]
+    fast = -0.6 * (rng.random((rows, rounds)) < share)
+    return quiet(rng, rows, rounds) + fast * (rng.random((rows, rounds)) < 0.8)
+
+
+def heavy(rng, rows, rounds):
+    """Noise with Student's t of 3 degrees of freedom."""
+    return quiet(rng, rows, rounds) + 0.01 * rng.standard_t(3, (rows, rounds))
+
+
+def loaded(rng, rows, rounds):
+    """A load in 40 % of rounds, that slows all rows, each by another factor."""
+    load = 0.3 * rng.random(rounds) * (rng.random(rounds) < 0.4)
+    return quiet(rng, rows, rounds) + rng.uniform(0.3, 1.7, rows)[:, None] * load
+
+
+def sides(noise, rng, rows, rounds):
+    """Two sides in turns, with nothing changed."""
+    logs = noise(rng, rows, 2 * rounds)
+    return logs[:, :, ::2], logs[:, :, 1::2]
+
+
+@pytest.mark.parametrize("rounds", (3, 8))
+@pytest.mark.parametrize("noise", (quiet, bursts, flips, heavy, loaded))
+def test_false_alarms_are_rarer_than_one_table_in_twenty(noise, rounds):
+    """At the promised rate of 1 %, more than 3 of 40 tables have a probability of 0.1 %."""
+    rng = np.random.default_rng(rounds)
+    found = [judge(*sides(noise, rng, 60, rounds)) for _ in range(TABLES)]
+    assert sum(any(row.sign for row in each.rows) for each in found) <= 3
+    assert sum(each.common.sign != 0 for each in found) <= 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rounds", (3, 5, 8, 10))
+@pytest.mark.parametrize("noise", (quiet, bursts, flips, heavy, loaded))
+def test_false_alarms_of_many_tables(noise, rounds):
+    """1 in 20 is the limit: more than 15 of 300 would be beyond it."""
+    rng = np.random.default_rng(100 + rounds)
+    found = [judge(*sides(noise, rng, 100, rounds)) for _ in range(300)]
+    alarms = sum(each.common.sign != 0 or any(row.sign for row in each.rows) for each in found)
+    assert alarms <= 15
+
+
+@pytest.mark.parametrize("rounds", (3, 5))
+@pytest.mark.parametrize("noise", (quiet, bursts, flips))
+@pytest.mark.parametrize("slowdown", (0.05, 0.1))
+def test_a_slowdown_is_found_or_declared_invisible(noise, rounds, slowdown):
+    """The promise is 90 %; fewer than 31 of 40 have a probability of 0.5 %."""
+    rng = np.random.default_rng(1)
+    kept = 0
+    for _ in range(TABLES):
+        base, other = sides(noise, rng, 60, rounds)
+        other[:, 7] += np.log1p(slowdown)
+        row = judge(base, other).rows[7]
+        kept += row.sign == 1 or row.visible > np.log1p(slowdown)
+    assert kept >= 31
+
+
+@pytest.mark.parametrize("rounds", (3, 5))
+@pytest.mark.parametrize("noise", (quiet, bursts, heavy))
+def test_the_least_visible_slowdown_is_found(noise, rounds):
+    """With a probability of 90 %: fewer than 46 of 60 have one of 0.1 %."""
+    rng = np.random.default_rng(40 + rounds)
+    found = 0
+    for _ in range(12):
+        base, other = sides(noise, rng, 60, rounds)
+        rows = judge(base, other).rows
+        for place in range(0, 60, 12):
+            slower = other.copy()
+            slower[:, place] += rows[place].visible
+            found += judge(base, slower).rows[place].sign == 1
+    assert found >= 46
+
+
+def test_ten_percent_is_found_on_a_quiet_machine():
+    """Rows of 0.5 % spread and five rounds: 50 of 50, and nothing else."""
+    for seed in range(50):
+        base, other = (
+            0.005 * np.random.default_rng((seed, side)).standard_normal((2, 60, 5))
+            for side in range(2)
+        )
+        other[:, 3] += np.log(1.1)
+        found = judge(base, other)
+        assert [row.sign for row in found.rows] == [0, 0, 0, 1] + [0] * 56, seed
+        assert found.common.sign == 0
+
+
+def test_margins_are_those_of_the_t_distribution_for_a_single_row():
+    """One row has nothing to share: Student's t, by its formula, from the differences of pairs."""
+    from scipy.stats import t
+
+    base = np.zeros((2, 1, 5))
+    other = np.array([0.1, 0.12, 0.09, 0.11, 0.13]) + np.zeros((2, 1, 1))
+    found = judge(base, other).rows[0]
+    error = np.std([0.1, 0.12, 0.09, 0.11, 0.13], ddof=1) / np.sqrt(5)
+    assert found.change == pytest.approx(0.11)
+    assert found.margin == pytest.approx(error * t.isf(0.0025, 4))
+    assert found.sign == 1
+
+
+def test_variances_of_one_distribution_are_pooled_and_others_are_not():
+    """True variances: all 4, and log-normal. The prior's scale is theirs, and its weight differs."""
+    rng = np.random.default_rng(3)
+    chi = rng.chisquare(2, (2, 4000)) / 2
+    pooled, freedom = moderate(4 * chi[0], 2)
+    assert freedom > 40 and np.all(abs(np.log(pooled[chi[0] < 5] / 4)) < 0.3)
+    true = np.exp(2 * rng.standard_normal(4000))
+    shared, freedom = moderate(true * chi[1], 2)
+    assert 2 < freedom < 4  # d0 of 1: the variance of the logs is 4, trigamma(0.5) is 4.9
+    error = [np.std(np.log(each / true)) for each in (shared, true * chi[1])]
+    assert error[0] < error[1]
+
+
+def test_drift_of_the_machine_is_no_change_of_a_row():
+    """The second side ran under a load of 8 % that changes by as much, and one row is slower."""
+    rng = np.random.default_rng(5)
+    base, other = sides(quiet, rng, 60, 5)
+    other += 0.08 + 0.08 * rng.standard_normal(5)
+    other[:, 2] += 0.2
+    found = judge(base, other)
+    assert found.common.sign == 0 and 0.03 < found.common.change < 0.2
+    assert [row.sign for row in found.rows] == [0, 0, 1] + [0] * 57
+
+
+def test_all_rows_slower_is_a_line_of_its_own():
+    base, other = sides(quiet, np.random.default_rng(6), 60, 8)
+    found = judge(base, other + np.log(1.2))
+    assert found.common.sign == 1 and found.common.change == pytest.approx(np.log(1.2), abs=0.02)
+    assert all(row.sign == 1 for row in found.rows)
+
+
+def test_rows_that_stay_are_not_faster_when_most_get_slower():
+    base, other = sides(quiet, np.random.default_rng(7), 60, 5)
+    other[:, 20:] += 0.15
+    assert all(row.sign == 0 for row in judge(base, other).rows[:20])
+
+
+def test_blocks_hide_what_differs_between_processes():
+    """Each process has a level for each row, twice the spread of its rounds; nothing changed."""
+    alarms = 0
+    for seed in range(TABLES):
+        rng = np.random.default_rng((8, seed))
+        level = 0.01 * rng.standard_normal((2, 60, 1))
+        base, other = (each + 0.005 * rng.standard_normal((2, 60, 3)) for each in level)
+        alarms += any(row.sign for row in judge(base, other, alternate=False).rows)
+        assert judge(base, other, alternate=False).rows[0].visible > 0.05
+    assert alarms <= 3
+
+
+# whole files
+
+
+def compared(tmp_path, results, **options):
+    return compare_files(write_results(tmp_path, results), **options)
+
+
+def words(comparison, number, column=0):
+    return comparison.columns[column].verdicts[row_names(60)[number]].words
+
+
+def test_planted_changes_get_their_verdicts(tmp_path):
+    results = made_results(30, 5, sides=3, change={3: 0.1, 7: -0.2})
+    fail_row(results[1], 5)
+    found = compared(tmp_path, results)
+    assert [words(found, number) for number in (3, 5, 7, 8)] == [
+        "slower",
+        "wrong",
+        "faster",
+        "same",
+    ]
+    assert words(found, 5, 1) == "same"
+    counted = [verdict.words for verdict in found.columns[1].verdicts.values()]
+    assert counted.count("same") == 28
+    assert found.status() == 1
+
+
+@pytest.mark.parametrize(
+    "change, damage, options, status",
+    (
+        ({}, None, {}, 0),
+        ({2: -0.3}, None, {}, 0),
+        ({2: 0.1}, None, {}, 1),
+        ({2: 0.1}, None, {"worst": 0.2}, 0),
+        ({2: 0.1}, None, {"worst": 0.05}, 1),
+        ({}, None, {"worst": 0.001}, 125),
+        ({2: 0.1}, None, {"names": ["spectral"]}, 0),
+        ({2: 0.1}, None, {"names": ["sensor.row02"]}, 1),
+        ({}, "fail", {}, 1),
+        ({}, "fail both", {}, 0),
+        ({}, "mend", {}, 0),
+        ({}, "lose", {}, 125),
+        ({}, "hash", {}, 125),
+        ({}, "hash", {"other_kernels": True}, 0),
+        ({2: 0.1}, "hash", {}, 1),
+        ({}, "short", {}, 125),
+    ),
+)
+def test_status(tmp_path, change, damage, options, status):
+    base, other = results = made_results(30, 5, change=change)
+    if damage in ("fail", "fail both"):
+        fail_row(other, 4)
+    if damage in ("mend", "fail both"):
+        fail_row(base, 4)
+    if damage == "lose":
+        del other["rows"][4]
+    if damage == "hash":
+        other["rows"][4]["hash"] = "another"
+    if damage == "short":
+        del other["rows"][4]["rounds"][2:]
+    assert compared(tmp_path, results, **options).status() == status
+
+
+def test_two_rounds_cannot_be_judged(tmp_path):
+    found = compared(tmp_path, made_results(30, 2, change={1: 1.0}))
+    assert {verdict.words for verdict in found.columns[0].verdicts.values()} == {"cannot be judged"}
+    assert found.status() == 125
+
+
+def test_all_slower_decides_the_status_unless_rows_are_selected(tmp_path):
+    results = made_results(30, 6, common=0.2, change={0: -1 / 6})
+    assert compared(tmp_path, results).status() == 1
+    found = compared(tmp_path, results, names=["spectral.row00"])
+    assert found.columns[0].verdicts.keys() == {"spectral.row00 640x480"}
+    assert found.status() == 0
+
+
+def test_rounds_in_blocks_are_said_and_widen(tmp_path):
+    visible = {}
+    for alternate in (True, False):
+        found = compared(tmp_path, made_results(30, 4, alternate=alternate)).columns[0]
+        assert any("do not alternate" in note for note in found.notes) is not alternate
+        visible[alternate] = np.median([each.change.visible for each in found.verdicts.values()])
+    assert visible[False] > 2 * visible[True]
+
+
+@pytest.mark.parametrize(
+    "order, pairs",
+    (
+        ("abab", [(0, 0), (1, 1)]),
+        ("abba", [(0, 0), (1, 1)]),
+        ("aaabbb", [(2, 0)]),
+        ("aaabbbabab", [(2, 0), (3, 2), (4, 3)]),
+        ("ababa", [(0, 0), (1, 1)]),
+        ("", []),
+    ),
+)
+def test_rounds_are_paired_with_their_neighbours(order, pairs):
+    """Two rows each, by hand."""
+    rounds = {
+        side: [{"at": float(i)} for i, name in enumerate(order) if name == side] for side in "ab"
+    }
+    later = {side: [{"at": each["at"] + 0.5} for each in rounds[side]] for side in "ab"}
+    assert pair_rounds([[rounds[side], later[side]] for side in "ab"]) == pairs
+    at_once = [[rounds[side], [{"at": each["at"] + 9} for each in rounds[side]]] for side in "ab"]
+    assert pair_rounds(at_once) == []
+
+
+def test_rounds_without_a_neighbour_are_left_out_aloud(tmp_path):
+    results = made_results(30, 5)
+    for row in results[1]["rows"]:
+        del row["rounds"][4]
+    found = compared(tmp_path, results).columns[0]
+    assert found.notes[0].startswith("4 rounds: ")
+    assert found.notes[1] == "5 and 4 rounds, 4 of each are compared: neighbours in time"
+    assert not any("alternate" in note for note in found.notes)
+
+
+def run(capsys, *arguments):
+    status = main(["bench", "compare", *arguments])
+    said = capsys.readouterr()
+    return status, said.out, said.err
+
+
+def test_refusals_are_one_line(tmp_path, capsys):
+    results = made_results(10, 3, sides=4)
+    for row in results[1]["rows"]:
+        row["hash"] = "another"
+    for row in results[2]["rows"]:
+        row["name"], row["size"] = row["name"].replace("640x480", "64x48"), "64x48"
+    results[3]["machine"]["device"] = "another"
+    a, other_kernels, other_size, other_device = write_results(tmp_path, results)
+    (tmp_path / "text.json").write_text("no JSON")
+    (tmp_path / "list.json").write_text("[]")
+    cases = (
+        ((a,), "one file; wanted two or more"),
+        ((a, other_kernels), "--other-kernels"),
+        ((a, other_size), "wanted a run of the same rows, size 640x480"),
+        ((a, str(tmp_path / "none.json")), "cannot be read"),
+        ((a, str(tmp_path / "text.json")), "is not JSON"),
+        ((a, str(tmp_path / "list.json")), "is not a result"),
+        ((a, other_device, "--row", "optics.row1"), "did you mean"),
+        ((a, other_device, "--html", str(tmp_path / "no" / "page.html")), "does not exist"),
+        ((a, other_device, "--history"), "wanted one machine"),
+        ((a, a, "--history", "--worst", "5%"), "--worst"),
+        ((a, a, "--history", "--other-kernels"), "--other-kernels"),
+    )
+    for arguments, part in cases:
+        status, out, error = run(capsys, *arguments)
+        assert (status, out, error.count("\n")) == (2, "", 1) and part in error, (arguments, error)
+    for text in ("0", "-3%", "abc", "1e9%", "nan"):
+        with pytest.raises(SystemExit) as stop:
+            main(["bench", "compare", a, a, "--worst", text])
+        assert stop.value.code == 2 and capsys.readouterr().err.count("\n") == 1
+
+
+def test_table_and_both_forms_of_the_command(tmp_path, capsys):
+    results = made_results(30, 5, change={3: 0.1})
+    fail_row(results[1], 5)
+    results[1]["machine"]["warnings"] = [f"warning {number}" for number in range(9)]
+    results[1]["limits"] = results[1]["limits"] | {"copy_gbps": 20.0}
+    a, b = write_results(tmp_path, results)
+    status, out, error = run(capsys, a, b)
+    assert (status, error) == (1, "")
+    assert out.count(" same ") >= 28 and "warning 2" in out and "and 6 more warnings" in out
+    assert "warning 3" not in out and "copy_gbps x2.00" in out
+    assert "  slower: processor.row03 640x480: x1.10" in out
+    assert "  wrong: pipelines.row05 640x480: error 1, tolerance 1e-5" in out
+    lines = [line for line in out.splitlines() if " | " in line]
+    assert len(lines) == 2 + 30 + 7 and len({line.index("|") for line in lines}) == 1
+    assert main(["bench", "--compare", a, b]) == 1
+    assert capsys.readouterr().out == out
+
+
+def test_equal_names_of_files_are_told_apart(tmp_path, capsys):
+    results = made_results(10, 3, sides=3)
+    paths = []
+    for name, result in zip(("one", "two", "three"), results, strict=True):
+        (tmp_path / name).mkdir()
+        paths += write_results(tmp_path / name, [result])
+    out = run(capsys, *paths)[1]
+    assert all(f"{name}/a" in out for name in ("one", "two", "three"))
+
+
+class Page(HTMLParser):
+    """Checks that elements are closed in order, and that nothing is loaded."""
+
+    VOID = ("meta",)
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.texts, self.cells = [], [], []
+
+    def handle_starttag(self, tag, attributes):
+        assert tag not in ("script", "link", "img", "iframe")
+        assert not {"src", "href"} & {name for name, _ in attributes}
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if tag == "tr":
+            self.cells.append(0)
+        if tag in ("td", "th"):
+            self.cells[-1] += int(dict(attributes).get("colspan", 1))
+
+    def handle_startendtag(self, tag, attributes):
+        assert tag in ("line", "circle", "polyline")
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, text):
+        self.texts.append(text)
+
+
+def read_page(path):
+    text, page = path.read_text(), Page()
+    page.feed(text)
+    assert not page.open and "@import" not in text and "url(" not in text
+    return page
+
+
+def test_page_of_a_comparison(tmp_path, capsys):
+    results = made_results(30, 5, sides=3, change={3: 0.1})
+    results[1]["machine"]["driver"] = "<b>a & b</b>"
+    fail_row(results[0], 4)
+    fail_row(results[1], 5)
+    fail_row(results[2], 4)
+    results[2]["rows"][9]["hash"] = "another"
+    del results[2]["rows"][11]
+    paths = write_results(tmp_path, results)
+    run(capsys, *paths, "--html", str(tmp_path / "page.html"))
+    page = read_page(tmp_path / "page.html")
+    assert any("<b>a & b</b>" in text for text in page.texts)
+    for name in row_names(30):
+        assert name in page.texts
+    seen = ("▲ slower", "✗ wrong", "✗ wrong in both", "✓ mended", "? other kernels", "= same")
+    assert set(seen) <= set(page.texts)
+    assert any("slower: processor.row03 640x480: x1.1" in text for text in page.texts)
+    assert set(page.cells[2:]) == {1 + 3 + 2 * 7}  # below both lines of heads all rows are as long
+
+
+def test_a_page_names_the_largest_changes(tmp_path, capsys):
+    change = {number: 0.1 * number for number in range(1, 15)}
+    a, b = write_results(tmp_path, made_results(40, 5, change=change))
+    run(capsys, a, b, "--html", str(tmp_path / "page.html"))
+    lines = [text for text in read_page(tmp_path / "page.html").texts if "▲ slower: " in text]
+    assert [name for name in row_names(15)[:4:-1]] == [line.split(": ")[1] for line in lines]
+    assert "and 4 more rows" in (tmp_path / "page.html").read_text()
+
+
+def test_history(tmp_path, capsys):
+    results = made_results(30, 4, sides=4)
+    for result in results[2:]:
+        for row in (result["rows"][3],):
+            row["hash"] = "another"
+            row["ms_p50"] *= 1.3
+            for each in row["rounds"]:
+                each["ms"] = [1.3 * ms for ms in each["ms"]]
+    fail_row(results[3], 6)
+    page, picture = tmp_path / "page.html", tmp_path / "picture.png"
+    a, b, c, d = write_results(tmp_path, results)
+    status, out, _ = run(
+        capsys, "--history", c, a, d, b, "--html", str(page), "--picture", str(picture)
+    )
+    assert status == 0
+    lines = out.splitlines()
+    assert [line.split()[:3] for line in lines[1:5]] == [
+        [name, f"2026-01-0{day}T00:00", f"{day - 1}" * 10] for day, name in enumerate("abcd", 1)
+    ]
+    row = next(line for line in lines if line.startswith("processor.row03"))
+    assert "slower x1.3" in row and row.endswith("other kernels at c")
+    assert next(line for line in lines if line.startswith("spectral.row06")).endswith("wrong at d")
+    assert sum("slower" in line for line in lines) == 2  # its row, and the result
+    found = read_page(page)
+    assert any("slower x1.3" in text for text in found.texts)
+    assert set(row_names(30)) <= set(found.texts)
+    assert picture.stat().st_size > 10_000
+
+
+def test_history_of_chosen_rows(tmp_path, capsys):
+    paths = write_results(tmp_path, made_results(30, 3, sides=3))
+    out = run(capsys, "--history", *paths, "--row", "optics.row01")[1]
+    assert sum("640x480" in line for line in out.splitlines()) == 1
+
+
+def test_pictures(tmp_path, capsys):
+    from PIL import Image
+
+    results = made_results(30, 4, sides=3, change={3: 0.1})
+    fail_row(results[1], 5)
+    paths = write_results(tmp_path, results)
+    for name in ("picture.png", "picture.svg"):
+        assert run(capsys, *paths, "--picture", str(tmp_path / name))[0] == 1
+    with Image.open(tmp_path / "picture.png") as picture:
+        assert np.ptp(np.asarray(picture.convert("RGB")), axis=(0, 1)).min() > 200
+    assert "<svg" in (tmp_path / "picture.svg").read_text()
+
+
+def test_without_matplotlib_the_rest_is_written(tmp_path, capsys, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    a, b = write_results(tmp_path, made_results(10, 3))
+    page = tmp_path / "page.html"
+    status, out, error = run(
+        capsys, a, b, "--html", str(page), "--picture", str(tmp_path / "p.png")
+    )
+    assert status == 2 and "pip install" in error and "same" in out and page.exists()
+    assert not (tmp_path / "p.png").exists()
+
+
+def test_results_are_read_as_the_suite_writes_them(tmp_path):
+    """A result of one round after another, by the functions of the suite."""
+    from gpusim.bench.result import read_result, write_result
+
+    result = made_results(10, 3)[0]
+    write_result(result, tmp_path / "a.json")
+    assert read_result(tmp_path / "a.json") == json.loads(json.dumps(result))
+    assert compare_files([tmp_path / "a.json", tmp_path / "a.json"]).status() == 0
