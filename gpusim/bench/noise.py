@@ -110,13 +110,13 @@ class Judgement:
 
 @dataclass(frozen=True)
 class _Estimate:
-    """An estimate of all rows: mean, standard error (rows,), degrees of freedom, margin.
+    """An estimate of all rows: mean and margin (rows,).
 
     visible: least slowdown (rows,) without the common change.
     pairs: differences of pairs (rows, pairs) without the common change's variation.
     least: size that the pairs of one row pass together by chance too rarely to count.
     agreeing: pairs of a row that must pass it.
-    common, common_error, common_freedom: the same numbers for the common change.
+    common, common_error, common_freedom: mean, standard error, degrees of freedom of the common change.
     """
 
     mean: Array
