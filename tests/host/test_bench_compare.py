@@ -5,7 +5,11 @@ how likely it would fail if the rate were the promised one.
 """
 
 import json
+import os
+import subprocess
+import sys
 from html.parser import HTMLParser
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,6 +19,7 @@ from gpusim.bench.compare import compare_files, pair_rounds
 from gpusim.bench.noise import judge, moderate
 from gpusim.cli.main import main
 
+ROOT = Path(__file__).parents[2]
 TABLES = 40  # of a simulation; a rate of 1 % gives more than 3 alarms with a probability of 0.1 %
 
 
@@ -486,8 +491,6 @@ def test_pictures(tmp_path, capsys):
 
 
 def test_without_matplotlib_the_rest_is_written(tmp_path, capsys, monkeypatch):
-    import sys
-
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     a, b = write_results(tmp_path, made_results(10, 3))
     page = tmp_path / "page.html"
@@ -506,3 +509,75 @@ def test_results_are_read_as_the_suite_writes_them(tmp_path):
     write_result(result, tmp_path / "a.json")
     assert read_result(tmp_path / "a.json") == json.loads(json.dumps(result))
     assert compare_files([tmp_path / "a.json", tmp_path / "a.json"]).status() == 0
+
+
+# `gpusim bench run` of a checkout whose row processor.row03 is slow if there is a file `slow`
+FAKE_RUN = """
+import json, os, pathlib, random, sys, time
+path = sys.argv[sys.argv.index("--append" if "--append" in sys.argv else "--json") + 1]
+result = json.load(open(path if "--append" in sys.argv else "template.json"))
+for row in result["rows"]:
+    ms = 1.0 + 0.2 * (os.path.exists("slow") and row["name"].startswith("processor.row03"))
+    ms *= 1 + 0.003 * random.random()
+    row["rounds"] = row["rounds"] * ("--append" in sys.argv) + [{"at": time.time(), "ms": [ms] * 3}]
+pathlib.Path(path).write_text(json.dumps(result))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("first_slow", (2, 5, None))
+def test_the_script_for_bisection_finds_the_slow_commit(tmp_path, first_slow):
+    """The script of the page, with programs that only write results."""
+    script = (
+        (ROOT / "docs" / "benchmark-compare.md").read_text().split("```sh\n")[2].split("```")[0]
+    )
+    script = script.replace("processor.bilinear", "processor.row03").replace(
+        "/tmp/", f"{tmp_path}/"
+    )
+    (tmp_path / "bisect.sh").write_text(script)
+    tools = tmp_path / "tools"
+    tools.mkdir()
+    for name, module in (("python", ""), ("gpusim", "-m gpusim")):
+        path = "" if name == "python" else f"PYTHONPATH={ROOT} "
+        (tools / name).write_text(f'#!/bin/sh\n{path}exec {sys.executable} {module} "$@"\n')
+        (tools / name).chmod(0o755)
+    work, template = tmp_path / "work", made_results(20, 1)[0]
+    (work / "gpusim").mkdir(parents=True)
+    (work / "gpusim" / "__main__.py").write_text(FAKE_RUN)
+    (work / "template.json").write_text(json.dumps(template))
+    environment = os.environ | {
+        "PATH": f"{tools}:{os.environ['PATH']}",
+        "GIT_CONFIG_GLOBAL": os.devnull,
+        "GIT_CONFIG_NOSYSTEM": "1",
+        **{
+            f"GIT_{who}_{what}": "a@b"
+            for who in ("AUTHOR", "COMMITTER")
+            for what in ("NAME", "EMAIL")
+        },
+    }
+
+    def git(*arguments):
+        return subprocess.run(
+            ["git", *arguments],
+            cwd=work,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    git("init", "-q", "-b", "main")
+    for number in range(6):
+        (work / "number").write_text(str(number))
+        if number == first_slow:
+            (work / "slow").touch()
+        git("add", "-A")
+        git("commit", "-q", "-m", f"step {number}")
+    git("worktree", "add", "-q", "--detach", "../good", "HEAD~5")
+    git("bisect", "start", "HEAD", "HEAD~5")
+    said = git("bisect", "run", "sh", str(tmp_path / "bisect.sh"))
+    found = git("show", "-s", "--format=%s", "refs/bisect/bad").stdout.strip()
+    if first_slow is None:  # git takes the last commit's word for bad
+        first_slow = 5
+    assert found == f"step {first_slow}", said.stdout + said.stderr
+    assert "is the first bad commit" in said.stdout
