@@ -24,6 +24,7 @@ _PLACES = {
     "bench run": ("bench_run", "RunRequest", "run", "TEXTS"),
     "bench scaling": ("bench_scaling", "ScalingRequest", "scaling", "TEXTS"),
     "bench peers": ("bench_peers", "PeersRequest", "peers", "TEXTS"),
+    "bench compare": ("bench_compare", "CompareRequest", "compare", "TEXTS"),
     "bench pareto": ("bench_pareto", "ParetoRequest", "pareto", "TEXTS"),
     "warmup": ("warmup", "WarmupRequest", "warmup", "TEXTS"),
     "devices": ("judges", "DevicesRequest", "list_devices", "DEVICES"),
@@ -61,9 +62,9 @@ def main(argv: list[str] | None = None) -> int:
         argv: Arguments of the command line. None: those of the process.
 
     Returns:
-        The exit status: 0, 1 (a verification failed or a tolerance is not met), 2 (wrong input,
-            reported in one
-        line) or 3 (a tolerance that cannot be judged).
+        The exit status: 0, 1 (a verification failed, a tolerance is not met or a row of a benchmark
+            is slower), 2 (wrong input, reported in one line), 3 (a tolerance that cannot be judged)
+            or 125 (a comparison of benchmarks that cannot be judged).
     """
     argv = sys.argv[1:] if argv is None else argv
     if argv[:1] == ["bench"]:

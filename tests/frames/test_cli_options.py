@@ -18,6 +18,7 @@ from types import SimpleNamespace
 import h5py
 import numpy as np
 import pytest
+from bench_results import made_results
 from PIL import Image
 
 import gpusim as gs
@@ -193,6 +194,14 @@ ROWS = {
         "repeat": ("--device numpy", "--repeat 7"),
         "json": ("--device numpy", "--json rows.json"),
     },
+    "bench compare": {
+        "row": ("first.json second.json", "--row optics"),
+        "worst": ("first.json slow.json", "--worst 50%"),
+        "other_kernels": ("first.json third.json", "--other-kernels"),
+        "history": ("first.json second.json", "--history"),
+        "html": ("first.json second.json", "--html page.html"),
+        "picture": ("first.json second.json", "--picture picture.png"),
+    },
     "bench pareto": {
         "device": ("colorchecker --device numpy", "--device warp:cpu"),
         "camera": ("colorchecker --device numpy", "--camera mono"),
@@ -242,6 +251,10 @@ def inputs(tmp_path_factory):
     ):
         Image.fromarray(picture).save(folder / f"{name}.png")
     (folder / "stored.json").write_text(json.dumps(STORED))
+    compared = *made_results(10, 3, sides=3), made_results(10, 3, change={1: 0.1})[1]
+    compared[2]["rows"][0]["hash"] = "another"
+    for name, result in zip(("first", "second", "third", "slow"), compared, strict=True):
+        (folder / f"{name}.json").write_text(json.dumps(result))
     cutout = np.full((8, 8, 4), 255, np.uint8)
     Image.fromarray(cutout).save(folder / "actor.png")
     edge = gs.chart("slanted-edge", size=(64, 48))
@@ -485,6 +498,8 @@ CONFLICTS = [  # a command line and the option that has no effect in it
     ("preview", PHOTO, "--pan 0,20"),
     ("verify", "--device numpy --hard", "--stage sensor.noise"),
     ("verify", "--device numpy --combinations", "--stage sensor.noise"),
+    ("bench compare", "first.json second.json --history", "--worst 5%"),
+    ("bench compare", "first.json second.json --history", "--other-kernels"),
     ("verify", "--device numpy --combinations", "--hard"),
     ("verify", "--device numpy", "--feature depth"),
     ("verify", "--device numpy", "--tolerance 1e-2"),
