@@ -23,6 +23,7 @@ _PLACES = {
     "verify": ("judges", "VerifyRequest", "verify", "VERIFY"),
     "bench run": ("bench_run", "RunRequest", "run", "TEXTS"),
     "bench peers": ("bench_peers", "PeersRequest", "peers", "TEXTS"),
+    "bench pack": ("bench_pack", "PackRequest", "pack", "TEXTS"),
     "bench pareto": ("bench_pareto", "ParetoRequest", "pareto", "TEXTS"),
     "warmup": ("warmup", "WarmupRequest", "warmup", "TEXTS"),
     "devices": ("judges", "DevicesRequest", "list_devices", "DEVICES"),

@@ -174,6 +174,12 @@ ROWS = {
         "json": ("--device numpy", "--json rows.json"),
         "append": ("--device numpy", "--append stored.json"),
     },
+    "bench pack": {
+        "folder": ("packed", "other"),
+        "stage": ("packed", "--stage sensor.noise"),
+        "size": ("packed", "--size 24x16"),
+        "archive": ("packed", "--archive packed.zip"),
+    },
     "bench pareto": {
         "device": ("colorchecker --device numpy", "--device warp:cpu"),
         "camera": ("colorchecker --device numpy", "--camera mono"),
@@ -317,6 +323,7 @@ def record(monkeypatch):
     import gpusim.apps.warmup
     import gpusim.backends.probe
     import gpusim.bench.cold
+    import gpusim.bench.pack
     import gpusim.bench.suite
     import gpusim.io.camera.learned
     import gpusim.judge.combinations
@@ -353,6 +360,11 @@ def record(monkeypatch):
         row = {"name": said(device, *names, sizes, settings), "verified": False, "failed": ""}
         return STORED | {"device": device.name, "rows": [row]}
 
+    def packed(folder, stages, size, archive):
+        counts = dict.fromkeys(("cases", "programs", "bytes"), 0)
+        asked = said(folder, *stages, size, archive)
+        return counts | {"stages": len(stages), "left": [(asked, "")]}
+
     def warmed(device, cameras, tolerances):
         for asked in product(cameras, tolerances, gpusim.apps.warmup.SCENES):
             yield gpusim.apps.warmup.Warmed(said(device, *asked), 0.0, "")
@@ -375,6 +387,7 @@ def record(monkeypatch):
         (gpusim.bench.suite, "measure", measured),
         (gpusim.bench.suite, "append_round", lambda stored, path, device: measured(device, [path])),
         (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),
+        (gpusim.bench.pack, "write_pack", packed),
         (gpusim.apps.warmup, "warm_up", warmed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),
