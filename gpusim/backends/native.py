@@ -9,7 +9,7 @@ kernels/common/fft.clh.
 import linecache
 import re
 
-from gpusim.backends.opencl import stage_source
+from gpusim.backends.launches import stage_source
 
 # OpenCL C's names in CUDA C++; a structure with operators instead of the vector type.
 DIALECT = """

@@ -6,14 +6,13 @@ import weakref
 from collections import defaultdict, deque
 from contextlib import contextmanager
 from math import prod
-from pathlib import Path
 
 import numpy as np
 
 from gpusim.backends.buffers import VECTOR, Arriving, Block, Command, FreeMemory, OpenCLArray
 from gpusim.backends.caches import pocl_folder
-from gpusim.backends.device import kernel_folder
 from gpusim.backends.driver import finish, pyopencl
+from gpusim.backends.launches import BUILD_OPTIONS, program_head, split_grid, stage_source
 from gpusim.backends.pocl import known_processor
 from gpusim.backends.pocl_programs import Programs
 from gpusim.backends.refusal import of_shape, of_values, refusable
@@ -30,11 +29,6 @@ REFUSALS = (
     "OUT_OF_HOST_MEMORY",
     "INVALID_BUFFER_SIZE",
 )
-# Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead
-# per group, then the rest. PoCL compiles a kernel for every size of a group, 50 ms each: there are
-# few.
-CPU_GROUPS = (128, 8, 1)
-BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt")
 
 
 class OpenCLDevice(Taped):
@@ -245,7 +239,7 @@ class OpenCLDevice(Taped):
         values = [arg.buffer if isinstance(arg, OpenCLArray) else arg for arg in args]
         with self._lock:  # a kernel keeps its arguments from being set until it is started
             entry = self._kernel(stage, kernel, defines, args)
-            pieces = self._pieces(tuple(grid), group)
+            pieces = split_grid(tuple(grid), group, self.is_gpu)
             with self.compiling(self._first_words(stage, kernel, defines, pieces)):
                 for size, block, offset in pieces:
                     event = entry(
@@ -270,7 +264,7 @@ class OpenCLDevice(Taped):
         except IndexError:
             with self._lock:
                 entry = self._entry(stage, self._program(stage, defines), kernel)
-        pieces = self._pieces(tuple(grid), group)
+        pieces = split_grid(tuple(grid), group, self.is_gpu)
         words = self._first_words(stage, kernel, defines, pieces)
         charged = self._clock.charged or stage
         return Command(self, charged, kernel, entry, pieces, args, spare, words)
@@ -293,34 +287,6 @@ class OpenCLDevice(Taped):
         with announced(words):
             yield
             self.queue.finish()
-
-    def _pieces(self, grid, group):
-        """Split a grid into launches (size, group, offset).
-
-        A GPU gets one launch, rounded up to whole groups; its kernels return outside the grid
-        (GUARD). On a CPU such a return would prevent PoCL from vectorising (3.5x, measured), so
-        GUARD is empty there and the grid is exact: whole vectors first, then the rest of the
-        fastest axis, in the same few groups for frames of all sizes.
-        """
-        origin = (0,) * len(grid)
-        if group is None and self.is_gpu:
-            group = {1: (256,), 2: (4, 64), 3: (1, 4, 64)}[len(grid)]
-        if group is not None:
-            return [
-                (
-                    tuple(-(-n // g) * g for n, g in zip(grid, group, strict=True)),
-                    tuple(group),
-                    origin,
-                )
-            ]
-        *outer, fastest = grid
-        ones, pieces, done = (1,) * len(outer), [], 0
-        for items in CPU_GROUPS:
-            more = (fastest - done) // items * items
-            if more:
-                pieces.append(((*outer, more), (*ones, items), (*origin[1:], done)))
-            done += more
-        return pieces
 
     def _kernel(self, stage, kernel, defines, args):
         key = (stage, kernel, *sorted(defines.items()))
@@ -352,12 +318,9 @@ class OpenCLDevice(Taped):
         key = (stage, *sorted(defines.items()))
         if key not in self._programs:
             source, include = stage_source(stage)
-            # constants go into the text: PoCL's cache has confused programs that differ only in -D
-            guard = "if (outside) return;" if self.is_gpu else ""
-            head = f"#define GUARD(outside) {guard}\n"
+            head = program_head(defines, self.is_gpu)
             if self.processor:  # PoCL's cache does not know that it builds for another processor
                 head += f"typedef int built_for_{self.processor.replace('-', '_')};\n"
-            head += "".join(f"#define {name} {value}\n" for name, value in sorted(defines.items()))
             start = time.perf_counter()
             options = [*BUILD_OPTIONS, "-I", str(include)]
             if "REGISTERS" in defines and "cl_nv_compiler_options" in self.cl_device.extensions:
@@ -418,12 +381,3 @@ class OpenCLDevice(Taped):
         for stage, event in clock.events:
             clock.times[stage] += 1e-6 * (event.profile.end - event.profile.start)
         clock.events.clear()
-
-
-def stage_source(stage: str) -> tuple[str, Path]:
-    """Return the text of `kernels/<area>/<name>.cl`, and the folder of its include files."""
-    root = kernel_folder()
-    path = root.joinpath(*stage.split(".")).with_suffix(".cl")
-    if not path.exists():
-        raise DeviceError(f"{stage}: no OpenCL kernel; add kernels/{path.relative_to(root)}")
-    return path.read_text(), root / "common"

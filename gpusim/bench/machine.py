@@ -11,7 +11,7 @@ from typing import Any
 
 import gpusim
 from gpusim.backends import Device
-from gpusim.backends.opencl import BUILD_OPTIONS
+from gpusim.backends.launches import BUILD_OPTIONS
 from gpusim.backends.probe import identity
 
 PACKAGES = {

@@ -25,6 +25,7 @@ _PLACES = {
     "bench scaling": ("bench_scaling", "ScalingRequest", "scaling", "TEXTS"),
     "bench peers": ("bench_peers", "PeersRequest", "peers", "TEXTS"),
     "bench compare": ("bench_compare", "CompareRequest", "compare", "TEXTS"),
+    "bench pack": ("bench_pack", "PackRequest", "pack", "TEXTS"),
     "bench pareto": ("bench_pareto", "ParetoRequest", "pareto", "TEXTS"),
     "warmup": ("warmup", "WarmupRequest", "warmup", "TEXTS"),
     "devices": ("judges", "DevicesRequest", "list_devices", "DEVICES"),

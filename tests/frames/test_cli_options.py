@@ -202,6 +202,12 @@ ROWS = {
         "html": ("first.json second.json", "--html page.html"),
         "picture": ("first.json second.json", "--picture picture.png"),
     },
+    "bench pack": {
+        "folder": ("packed", "other"),
+        "stage": ("packed", "--stage sensor.noise"),
+        "size": ("packed", "--size 24x16"),
+        "archive": ("packed", "--archive packed.zip"),
+    },
     "bench pareto": {
         "device": ("colorchecker --device numpy", "--device warp:cpu"),
         "camera": ("colorchecker --device numpy", "--camera mono"),
@@ -351,6 +357,7 @@ def record(monkeypatch):
     import gpusim.bench.cold
     import gpusim.bench.peers
     import gpusim.bench.scaling
+    import gpusim.bench.pack
     import gpusim.bench.suite
     import gpusim.io.camera.learned
     import gpusim.judge.combinations
@@ -393,6 +400,11 @@ def record(monkeypatch):
     def scaled(cases, **settings):
         yield from timed(cases, settings)
 
+    def packed(folder, stages, size, archive):
+        counts = dict.fromkeys(("cases", "programs", "bytes"), 0)
+        asked = said(folder, *stages, size, archive)
+        return counts | {"stages": len(stages), "left": [(asked, "")]}
+
     def warmed(device, cameras, tolerances):
         for asked in product(cameras, tolerances, gpusim.apps.warmup.SCENES):
             yield gpusim.apps.warmup.Warmed(said(device, *asked), 0.0, "")
@@ -417,6 +429,7 @@ def record(monkeypatch):
         (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),
         (gpusim.bench.peers, "time_peers", timed),
         (gpusim.bench.scaling, "measure_scaling", scaled),
+        (gpusim.bench.pack, "write_pack", packed),
         (gpusim.apps.warmup, "warm_up", warmed),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),

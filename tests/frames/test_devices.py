@@ -11,14 +11,14 @@ import subprocess
 import sys
 from math import prod
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from devices import KINDS
 
 from gpusim.backends import caches, pocl, probe
-from gpusim.backends.opencl import CPU_GROUPS, OpenCLDevice
+from gpusim.backends.launches import CPU_GROUPS, split_grid
+from gpusim.backends.opencl import OpenCLDevice
 from gpusim.backends.select import open_device
 from gpusim.domain.errors import DeviceError
 from gpusim.kernels.sensor.pattern import pattern
@@ -383,7 +383,7 @@ def test_a_cache_on_a_full_disk(device, tmp_path):
 @pytest.mark.parametrize("grid", [(1,), (127,), (128,), (1000,), (3, 137), (5, 128), (2, 3, 263)])
 def test_a_cpu_does_a_grid_once_in_groups_of_few_sizes(grid):
     done = np.zeros(grid, int)
-    for size, group, offset in OpenCLDevice._pieces(SimpleNamespace(is_gpu=False), grid, None):
+    for size, group, offset in split_grid(grid, None, is_gpu=False):
         assert group[-1] in CPU_GROUPS and prod(group) == group[-1] and size[-1] % group[-1] == 0
         done[
             tuple(slice(first, first + count) for first, count in zip(offset, size, strict=True))

@@ -12,8 +12,7 @@ import pytest
 from devices import ALL, DEVICES
 from scipy import stats
 
-from gpusim.backends import open_device
-from gpusim.backends import opencl as opencl_backend
+from gpusim.backends import launches, open_device
 from gpusim.domain.errors import BadData, DeviceError, OutOfRange, UnknownName
 from gpusim.domain.noise import Noise
 from gpusim.domain.sensor import Sensor
@@ -97,7 +96,7 @@ def test_tiles_of_several_devices_make_one_frame(whole):
 def test_width_and_work_group_do_not_matter(monkeypatch, whole):
     inputs, frame = whole
     device = open_device("opencl")
-    monkeypatch.setattr(opencl_backend, "CPU_GROUPS", (24, 1))
+    monkeypatch.setattr(launches, "CPU_GROUPS", (24, 1))
     np.testing.assert_array_equal(noise(**inputs, device=device), frame)
     monkeypatch.setattr(
         device, "is_gpu", not device.is_gpu
