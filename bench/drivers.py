@@ -9,7 +9,8 @@ the beginning, and draws the same frame as every other driver: fixed patterns, c
 noise and binning of one given mean. The second form replaces the tables between `<!-- drivers -->`
 and `<!-- end of drivers -->` by those of all results in bench/results/drivers. A stored result has a
 row for each stage: "cases", "passed", "used" (the largest error over its tolerance, of cases with a
-tolerance above 0), and "failed", the reason of its first failure. "bits" maps each part of the
+tolerance above 0), "skipped" (cases that need float64, on a device without), and "failed", the
+reason of its first failure. "bits" maps each part of the
 frame to the number of values that differ from the reference, or to the reason why there is none.
 """
 
@@ -83,10 +84,13 @@ def one(device: str) -> dict:
 
 def stage_row(name: str, rows: list[dict]) -> dict:
     """Return the row of a stage from the rows of its cases."""
+    skipped = [row for row in rows if row["skipped"]]
+    rows = [row for row in rows if not row["skipped"]]
     failures = [row for row in rows if not row["ok"]]
     used = [row["max_error"] / row["tolerance"] for row in rows if row["tolerance"] and row["ok"]]
     made = {"name": name, "cases": len(rows), "passed": len(rows) - len(failures)}
     made |= {"used": max(used)} if used else {}
+    made |= {"skipped": len(skipped)} if skipped else {}
     if failures:
         first = failures[0]
         error = f"error {first['max_error']:.2g} of {first['tolerance']:.2g}"
