@@ -7,11 +7,13 @@
 The first form runs all cases of all stages as `gpusim verify` does, with caches that are empty at
 the beginning, and draws the same frame as every other driver: fixed patterns, chip, photons, read
 noise and binning of one given mean. The second form replaces the tables between `<!-- drivers -->`
-and `<!-- end of drivers -->` by those of all results in bench/results/drivers. A stored result has a
-row for each stage: "cases", "passed", "used" (the largest error over its tolerance, of cases with a
-tolerance above 0), "skipped" (cases that need float64, on a device without), and "failed", the
-reason of its first failure. "bits" maps each part of the
-frame to the number of values that differ from the reference, or to the reason why there is none.
+and `<!-- end of drivers -->` by those of all results in bench/results/drivers, also of
+bench/memory.py.
+
+A stored result of this script has a row for each stage: "cases", "passed", "used" (the largest
+error over its tolerance, of cases with a tolerance above 0), "skipped" (cases that need float64, on
+a device without), and "failed", the reason of its first failure. "bits" maps each part of the frame
+to the number of values that differ from the reference, or "failed" to the reason why there is none.
 """
 
 import os
@@ -151,10 +153,8 @@ def bits_text(bits: dict) -> str:
 
 def table(results: list[dict]) -> list[str]:
     """Return lines of Markdown: a row for each result, and the reasons of failures."""
-    lines = [
-        "| driver | from | it calls itself | stages | cases | noise | verify, s | processor, s |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
+    columns = "driver", "from", "device", "stages", "cases", "bits of noise", "wall s", "CPU s"
+    lines = [f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"]
     reasons = []
     for result in results:
         rows, machine = result["rows"], result["machine"]
@@ -174,11 +174,44 @@ def table(results: list[dict]) -> list[str]:
     return [*lines, *(["", "Failed:", "", *reasons] if reasons else [])]
 
 
+def checked_table(results: list[dict]) -> list[str]:
+    """Return lines of Markdown about the stages that oclgrind checked, and all of its messages."""
+    lines = [
+        "| checker | kernels for | stages that ended | cases | messages |",
+        "|---|---|---|---|---|",
+    ]
+    found = []
+    for result in results:
+        for form in dict.fromkeys(row["form"] for row in result["rows"]):
+            rows = [row for row in result["rows"] if row["form"] == form]
+            ended = [row for row in rows if "failed" not in row]
+            ran, cases, passed = (
+                sum(row[key] for row in ended) for key in ("ran", "cases", "passed")
+            )
+            number = sum(sum(row["messages"].values()) for row in rows)
+            driver = result["machine"]["driver"]
+            lines.append(
+                f"| {driver} | {form}s | {len(ended)} of {len(rows)} | {ran} of {cases} ran, "
+                f"{passed} passed | {number} |"
+            )
+            for row in rows:
+                place = f"- {driver}, {form}s, `{row['name']}`"
+                found += [f"{place}: {row['failed']}"] if "failed" in row else []
+                if "unchecked" in row:
+                    found.append(f"{place}, not for values never written: {row['unchecked']}")
+                found += [f"{place}, {n} times: {what}" for what, n in row["messages"].items()]
+    return [*lines, *(["", *found] if found else [])]
+
+
 def tables(results: list[dict]) -> str:
-    """Return the tables of processors and of GPUs."""
+    """Return the tables of processors, of GPUs and of checked memory."""
     lines = []
-    for heading, is_gpu in (("Processors", False), ("GPUs", True)):
-        its = [result for result in results if result["gpu"] == is_gpu]
+    for heading, is_its, its_table in (
+        ("Processors", lambda one: one["bench"] == "drivers" and not one["gpu"], table),
+        ("GPUs", lambda one: one["bench"] == "drivers" and one["gpu"], table),
+        ("Memory", lambda one: one["bench"] == "memory", checked_table),
+    ):
+        its = [result for result in results if is_its(result)]
         if its:
             hosts = sorted(
                 {f"{one['machine']['cpu']}, {one['machine']['cores']} cores" for one in its}
@@ -186,7 +219,7 @@ def tables(results: list[dict]) -> str:
             commits = sorted({str(one["commit"]) for one in its})
             lines += [f"## {heading}", ""]
             lines += [f"Host: {'; '.join(hosts)}. Commit: {', '.join(commits)}.", ""]
-            lines += [*table(its), ""]
+            lines += [*its_table(its), ""]
     return "\n".join(lines)
 
 

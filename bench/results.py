@@ -299,10 +299,12 @@ class Tables:
         print("  ", " | ".join((name, *cells)), flush=True)
 
 
-def in_process(module: str, settings: dict, environment: dict | None = None) -> dict:
+def in_process(
+    module: str, settings: dict, environment: dict | None = None, limit: float | None = None
+) -> dict:
     """Return the dict from `one(**settings)` of a module here, run in a separate process.
 
-    {"failed": why} if it fails.
+    {"failed": why} if it fails, or takes more than `limit` seconds.
     """
     command = [
         sys.executable,
@@ -310,17 +312,14 @@ def in_process(module: str, settings: dict, environment: dict | None = None) -> 
         f"import {module}, json, sys; print(json.dumps({module}.one(**json.loads(sys.argv[1]))))",
         json.dumps(settings),
     ]
-    ended = subprocess.run(
-        command,
-        cwd=HERE,
-        capture_output=True,
-        text=True,
-        env={
-            **os.environ,
-            **(environment or {}),
-            "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE), os.environ.get("PYTHONPATH")])),
-        },
-    )
+    folders = os.pathsep.join(filter(None, [str(HERE), os.environ.get("PYTHONPATH")]))
+    variables = {**os.environ, **(environment or {}), "PYTHONPATH": folders}
+    try:
+        ended = subprocess.run(
+            command, cwd=HERE, capture_output=True, text=True, env=variables, timeout=limit
+        )
+    except subprocess.TimeoutExpired:
+        return {"failed": f"took more than {limit:g} s"}
     if ended.returncode == 0:
         return json.loads(ended.stdout.splitlines()[-1])
     last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
