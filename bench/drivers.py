@@ -216,9 +216,11 @@ def tables(results: list[dict]) -> str:
             hosts = sorted(
                 {f"{one['machine']['cpu']}, {one['machine']['cores']} cores" for one in its}
             )
-            commits = sorted({str(one["commit"]) for one in its})
+            commits = sorted(
+                {f"{one['commit']}{', with changes' * bool(one['dirty'])}" for one in its}
+            )
             lines += [f"## {heading}", ""]
-            lines += [f"Host: {'; '.join(hosts)}. Commit: {', '.join(commits)}.", ""]
+            lines += [f"Host: {'; '.join(hosts)}. Commit: {'; '.join(commits)}.", ""]
             lines += [*its_table(its), ""]
     return "\n".join(lines)
 
