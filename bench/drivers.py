@@ -151,6 +151,11 @@ def bits_text(bits: dict) -> str:
     return "; ".join(differing) or ("equal" if "noise, exact" in bits else "equal, no float64")
 
 
+def seconds(value: float | None) -> str:
+    """Return a time as text; "-" for None, of a driver that was verified in parts."""
+    return "-" if value is None else f"{value:.0f}"
+
+
 def table(results: list[dict]) -> list[str]:
     """Return lines of Markdown: a row for each result, and the reasons of failures."""
     columns = "driver", "from", "device", "stages", "cases", "bits of noise", "wall s", "CPU s"
@@ -166,8 +171,8 @@ def table(results: list[dict]) -> list[str]:
             f"{len(rows) - len(failed)} of {len(rows)}",
             f"{sum(row['passed'] for row in rows)} of {sum(row['cases'] for row in rows)}",
             bits_text(result["bits"]),
-            f"{result['wall_s']:.0f}" + (" (shared)" if result["busy_machine"] else ""),
-            f"{result['processor_s']:.0f}",
+            seconds(result["wall_s"]) + (" (shared)" if result["busy_machine"] else ""),
+            seconds(result["processor_s"]),
         )
         lines.append("| " + " | ".join(map(str, cells)) + " |")
         reasons += [f"- {result['title']}, `{row['name']}`: {row['failed']}" for row in failed]
