@@ -298,6 +298,33 @@ class Tables:
         print("  ", " | ".join((name, *cells)), flush=True)
 
 
+def in_process(
+    module: str, settings: dict, environment: dict | None = None, limit: float | None = None
+) -> dict:
+    """Return the dict from `one(**settings)` of a module here, run in a separate process.
+
+    {"failed": why} if it fails, or takes more than `limit` seconds.
+    """
+    command = [
+        sys.executable,
+        "-c",
+        f"import {module}, json, sys; print(json.dumps({module}.one(**json.loads(sys.argv[1]))))",
+        json.dumps(settings),
+    ]
+    folders = os.pathsep.join(filter(None, [str(HERE), os.environ.get("PYTHONPATH")]))
+    variables = {**os.environ, **(environment or {}), "PYTHONPATH": folders}
+    try:
+        ended = subprocess.run(
+            command, cwd=HERE, capture_output=True, text=True, env=variables, timeout=limit
+        )
+    except subprocess.TimeoutExpired:
+        return {"failed": f"took more than {limit:g} s"}
+    if ended.returncode == 0:
+        return json.loads(ended.stdout.splitlines()[-1])
+    last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
+    return {"failed": last.removeprefix("gpusim.domain.errors.")}
+
+
 def require_cpu(device, what: str):
     """Raise OutOfRange unless the device is the processor by OpenCL."""
     if not (device.kind == "opencl" and device.on_host):

@@ -47,6 +47,7 @@ class Case:
             |device - reference| / max(|reference|, floor). "exact": the largest absolute
             difference; tolerance 0 then means bit for bit.
         floor: Least denominator of the metric "local", in the reference's unit.
+        needs_float64: Whether devices without float64 refuse this input.
     """
 
     name: str
@@ -55,6 +56,7 @@ class Case:
     why: str
     metric: str = "peak"
     floor: float = 0.0
+    needs_float64: bool = False
 
     def error(self, result: np.ndarray, reference: np.ndarray) -> float:
         """Return the largest error of `result` in this case's metric.
@@ -259,7 +261,7 @@ def make_resident(device: Device, inputs: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def compare(name: str, device: Device) -> Iterator[tuple[Case, float]]:
+def compare(name: str, device: Device) -> Iterator[tuple[Case, float | None]]:
     """Run every case of a stage on `device`.
 
     Args:
@@ -267,11 +269,15 @@ def compare(name: str, device: Device) -> Iterator[tuple[Case, float]]:
         device: The device to compare with the reference.
 
     Yields:
-        Each case and its error against the float64 reference.
+        Each case and its error against the float64 reference; None for a case that needs float64
+        on a device without.
     """
     module = stage_module(name)
     leaf = name.rpartition(".")[2]
     reference = getattr(import_module(f"{module.__name__}_ref"), leaf)
     for case in module.cases():
+        if case.needs_float64 and not device.has_fp64:
+            yield case, None
+            continue
         result = getattr(module, leaf)(**case.inputs, device=device)
         yield case, case.error(result, reference(**case.inputs))

@@ -70,6 +70,12 @@ def cl_devices() -> list:
     return found
 
 
+def is_gpu(cl_device) -> bool:
+    """Return whether a device is a GPU; oclgrind, on the processor, says that it is of every type."""
+    types = pyopencl().device_type
+    return cl_device.type & (types.GPU | types.CPU) == types.GPU
+
+
 def finish(lock, queues, waits: list, process: int):
     """Wait for all launches and let no other thread launch more: a device or the process ends.
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gpusim.backends.buffers import VECTOR, Arriving, Block, Command, FreeMemory, OpenCLArray
 from gpusim.backends.caches import pocl_folder
-from gpusim.backends.driver import finish, pyopencl
+from gpusim.backends.driver import finish, is_gpu, pyopencl
 from gpusim.backends.launches import BUILD_OPTIONS, program_head, split_grid, stage_source
 from gpusim.backends.pocl import known_processor
 from gpusim.backends.pocl_programs import Programs
@@ -44,7 +44,7 @@ class OpenCLDevice(Taped):
         self.cl_device = cl_device
         self.group_limit = cl_device.max_work_group_size
         self.local_bytes = min(self.local_bytes, cl_device.local_mem_size)
-        self.is_gpu = bool(cl_device.type & cl.device_type.GPU)
+        self.is_gpu = is_gpu(cl_device)
         self.has_fp64 = "cl_khr_fp64" in cl_device.extensions
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
         self.alignment = cl_device.mem_base_addr_align // 8  # [byte] of buffers inside others

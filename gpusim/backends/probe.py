@@ -24,6 +24,7 @@ from gpusim.domain.errors import DeviceError
 from gpusim.domain.progress import announced
 
 COPY_BYTES = 2**26  # larger than most last-level caches
+MOST_GBPS = 1e5  # [GB/s] that no memory reaches: ten times a large GPU's cache
 TIME_LIMIT = 120  # [s] for one device, most of it the first compilation
 EMPTY = {
     "name": "",
@@ -59,6 +60,8 @@ log = logging.getLogger(__name__)
 
 def best(backend: str = "auto", refresh: bool = False) -> dict:
     """Return the entry of the preferred device: a GPU, then OpenCL on the CPU by the newest driver.
+
+    Drivers for the CPU without float64 come last: they are slow.
 
     If no OpenCL device works and "auto" takes Warp's CPU device, which is slow, the log gives the
     reason.
@@ -127,6 +130,7 @@ def _preference(entry):
     return (
         entry["gpu"],
         entry["name"].startswith("opencl"),
+        entry["gpu"] or entry["fp64"],
         tuple(map(int, numbers)),
         entry["copy_gbps"],
     )
@@ -327,7 +331,7 @@ def hardware_id(device) -> str:
 def copy_gbps(device) -> float:
     """Return the bandwidth of a copy kernel [GB/s], bytes read plus bytes written; best of ten.
 
-    Raise DeviceError if the copy differs from the original.
+    Raise DeviceError if the copy differs from the original, or its time is impossible.
     """
     values = np.arange(COPY_BYTES // 4, dtype=np.float32)
     source, target = device.array(values), device.empty(values.shape)
@@ -338,6 +342,11 @@ def copy_gbps(device) -> float:
         best_ms = min(best_ms, ms["common.copy"])
     if not np.array_equal(device.numpy(target), values):
         raise DeviceError(f"{device.name}: a copy kernel changed its values; check the driver")
+    if best_ms < 2 * COPY_BYTES / MOST_GBPS / 1e6:
+        raise DeviceError(
+            f"{device.name}: its driver states impossible times, {best_ms:g} ms for a copy of "
+            f"{COPY_BYTES >> 20} MiB, so plans and reports would be wrong; update the driver"
+        )
     return 2 * COPY_BYTES / best_ms / 1e6
 
 

@@ -82,7 +82,9 @@ def verify(request: VerifyRequest) -> int:
         rows.append(row)
         print(show(row), flush=True)
     failed = sum(not row["ok"] for row in rows)
-    print(f"{len(rows) - failed} passed, {failed} failed")
+    skipped = sum(bool(row.get("skipped")) for row in rows)
+    end = f", {skipped} not run" if skipped else ""
+    print(f"{len(rows) - failed - skipped} passed, {failed} failed{end}")
     write_rows(request.json, rows)
     return 1 if failed or not rows else 0
 
@@ -138,6 +140,8 @@ def _hard_rows(name):
 
 def _stage_line(row):
     """Return a line of a stage's case."""
+    if row["skipped"]:
+        return f"skip {row['device']:10s} {row['stage']:22s} {row['case']}: {row['skipped']}"
     start = "ok  " if row["ok"] else "FAIL"
     error = f"{row['max_error']:9.2e} (tolerance {row['tolerance']:8.2e})"
     end = "" if row["ok"] else f": {row['why']}"

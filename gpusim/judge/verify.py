@@ -22,6 +22,7 @@ from gpusim.domain.errors import DeviceError, one_line
 from gpusim.kernels.stage import compare, stage_names
 
 PATIENCE = 600.0  # [s] without a message; longer than any kernel takes to compile
+NO_FLOAT64 = "needs float64, which this device lacks"
 LAST_WORDS = 4096  # [byte] of a child's messages that are read after it died
 CHILD = """
 import runpy, sys
@@ -42,13 +43,15 @@ def verify(device: Device, stages: list[str] | None = None) -> Iterator[dict]:
         stages: Names, for example "sensor.noise"; None for all.
 
     Yields:
-        Rows with stage, device, case, max_error, tolerance, ok, and why (the derivation of the
-        tolerance, or the reason of the failure).
+        Rows with stage, device, case, max_error, tolerance, ok, why (the derivation of the
+        tolerance, or the reason of the failure), and skipped (why the device cannot run the case;
+        "" if it did).
     """
     for name in stages or stage_names():
         try:
             for case, error in compare(name, device):
-                yield _row(name, device.name, case.name, error, case.tolerance, case.why)
+                row = _row(name, device.name, case.name, error or 0.0, case.tolerance, case.why)
+                yield row | ({"skipped": NO_FLOAT64} if error is None else {})
         except Exception as error:  # a driver may raise anything; the next stages are still judged
             why = f"{type(error).__name__}: {error}"
             yield failed_row(name, device.name, "(failed to run)", why)
@@ -63,6 +66,7 @@ def _row(stage, device, case, error, tolerance, why):
         "tolerance": tolerance,
         "ok": bool(error <= tolerance),
         "why": why,
+        "skipped": "",
     }
 
 

@@ -1,5 +1,7 @@
 // Planes and their half spectra: every line is read once and written once. The kernels of one program: LENGTH of the
 // transform, LINES of a work-group, THREADS in it, BORDER and PASSES, a list of PASS(...), come from the host.
+// Columns are transformed in place: a pass also orders what was read from global memory before it is written.
+#define FENCE (CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE)
 #include "border.clh"
 #include "fft.clh"
 

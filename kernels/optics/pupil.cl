@@ -81,7 +81,7 @@ __kernel void polar(
             float radius = sqrt(u * u + v * v);
             if (sides > 0) {  // s of the cut-off's nearest side
                 const float part = turn * sides / 2.0f;
-                radius *= cos((part - rint(part)) * 2.0f * M_PI_F / sides) / inner;
+                radius *= cospi((part - rint(part)) * 2.0f / sides) / inner;  // some drivers lack cos
             }
             const float ray = turn * rays;
             const int start = min((int)ray / per_sector, sectors - 1) * per_sector;

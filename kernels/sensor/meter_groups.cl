@@ -118,10 +118,8 @@ __kernel void tally(
     const int size, const int start, const int above, const int shift, const int bits)
 {
     __local int bins[LISTS * COPIES * BINS];
-    __local int farthest[LISTS];
     const int item = get_local_id(0), group = get_group_id(0);
     for (int i = item; i < LISTS * COPIES * BINS; i += ITEMS) bins[i] = 0;
-    if (item < LISTS) farthest[item] = 0;
     WORD prefix[LISTS], best[LISTS];
 #pragma unroll
     for (int list = 0; list < LISTS; ++list) {
@@ -165,16 +163,22 @@ __kernel void tally(
             if (number) ADD_LOCAL(&bins[(list * BINS + held) * COPIES + item % COPIES], number);
         }
     }
-#pragma unroll
-    for (int list = 0; list < LISTS; ++list)
-        if (shift == 0 && best[list]) MOST_LOCAL((LOCAL_WORD *)&farthest[list], best[list]);
     barrier(CLK_LOCAL_MEM_FENCE);
     for (int i = item; i < LISTS * BINS; i += ITEMS) {
         int sum = 0;
         for (int copy = 0; copy < COPIES; ++copy) sum += bins[i * COPIES + copy];
         if (sum) ADD(&counts[start + i], sum);
     }
-    if (item < LISTS && farthest[item]) MOST(&counts[above + item], (WORD)farthest[item]);
+    if (shift != 0) return;
+    // The lowest keys beyond take the place of the counts: these fill the 32 KiB that some GPUs have.
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (item < LISTS) bins[item] = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+#pragma unroll
+    for (int list = 0; list < LISTS; ++list)
+        if (best[list]) MOST_LOCAL((LOCAL_WORD *)&bins[list], best[list]);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (item < LISTS && bins[item]) MOST(&counts[above + item], (WORD)bins[item]);
 }
 #endif
 
@@ -222,7 +226,7 @@ __kernel void choose(
         found[1] = left;
         found[2] = from[bin];
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
+    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);  // all have read the state
     for (int bin = item * EACH; bin < (item + 1) * EACH; ++bin)
         if (bin > found[0] && from[bin]) {
             LEAST_LOCAL(&found[3], bin);

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from contextlib import contextmanager
 from math import prod
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import pytest
 from devices import KINDS
 
 from gpusim.backends import caches, pocl, probe
+from gpusim.backends.driver import is_gpu, pyopencl
 from gpusim.backends.launches import CPU_GROUPS, split_grid
 from gpusim.backends.opencl import OpenCLDevice
 from gpusim.backends.select import open_device
@@ -190,6 +192,45 @@ def test_a_device_that_has_gone_is_not_chosen(probed, monkeypatch):
     open_device.__globals__["_open"].cache_clear()
     assert open_device("auto").name == "warp:cpu"
     open_device.__globals__["_open"].cache_clear()
+
+
+@pytest.mark.parametrize(
+    "better, worse",
+    [
+        ({"driver": "PoCL 6.0"}, {"driver": "PoCL 3.1", "copy_gbps": 99.0}),
+        ({"driver": "PoCL 6.0"}, {"driver": "rusticl 26.2", "fp64": False}),  # 10 times as slow
+        ({"driver": "a GPU 1.0", "gpu": True, "fp64": False}, {"driver": "PoCL 6.0"}),
+    ],
+    ids=["newer", "float64", "GPU"],
+)
+def test_the_better_driver_is_chosen_in_any_order(better, worse, monkeypatch):
+    common = {**GOOD, "fp64": True}
+    entries = [{**common, "name": f"opencl:{n}", **one} for n, one in enumerate((better, worse))]
+    for found in (entries, entries[::-1]):
+        monkeypatch.setattr(probe, "devices", lambda refresh=False, found=found: found)
+        assert probe.best()["driver"] == better["driver"]
+
+
+@pytest.mark.parametrize("ms", [0.0, 1e-6])  # rusticl 22.3 states 1e-6
+def test_a_driver_whose_times_are_impossible_is_unusable(ms, monkeypatch):
+    device = open_device("opencl:pocl")
+
+    @contextmanager
+    def timed():
+        yield {"common.copy": ms}
+
+    monkeypatch.setattr(device, "timed", timed)
+    with pytest.raises(DeviceError, match=r"impossible times, .* ms for a copy of 64 MiB"):
+        probe.copy_gbps(device)
+
+
+@pytest.mark.parametrize(
+    "types, expected", [((), False), (("CPU",), False), (("CPU", "GPU"), False), (("GPU",), True)]
+)
+def test_a_device_of_every_type_is_no_gpu(types, expected):
+    known = pyopencl().device_type
+    kind = sum(getattr(known, name) for name in types)
+    assert is_gpu(SimpleNamespace(type=kind)) is expected
 
 
 def test_where_no_opencl_works_one_line_says_so(probed, monkeypatch, caplog):

@@ -12,6 +12,8 @@ import pytest
 BENCH = Path(__file__).parents[2] / "bench"
 sys.path.append(str(BENCH))
 
+import drivers  # noqa: E402
+import memory  # noqa: E402
 import results  # noqa: E402
 import tables  # noqa: E402
 
@@ -415,3 +417,97 @@ def test_command_writes_the_readme(stored, tmp_path):
         marks("loops", "threads", "peers", "triples", "tolerances", "color"),
         tables.stored_results(stored),
     )
+
+
+def test_a_process_of_its_own_finds_what_this_one_finds(tmp_path, monkeypatch):
+    """Packages may be on PYTHONPATH alone."""
+    (tmp_path / "only_there.py").write_text("def one(number):\n    return {'twice': 2 * number}\n")
+    monkeypatch.setenv(
+        "PYTHONPATH", os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
+    )
+    assert results.in_process("only_there", {"number": 4}) == {"twice": 8}
+
+
+def verified(title, is_gpu, rows, bits):
+    """A result of bench/drivers.py."""
+    more = {"title": title, "source": "here", "gpu": is_gpu, "bits": bits}
+    return result("drivers", rows, **more, busy_machine=True, wall_s=61.2, processor_s=40.0)
+
+
+def test_the_page_of_drivers_has_the_tables_of_all_stored_results():
+    page = (BENCH.parent / "docs" / "drivers.md").read_text()
+    stored = [results.load(path) for path in sorted(drivers.STORED.glob("*.json"))]
+    assert len(stored) > 6 and drivers.filled(page, stored) == page
+    with pytest.raises(BadFile, match="no place for the tables"):
+        drivers.filled("a page", stored)
+
+
+def test_a_driver_that_fails_says_where_and_why():
+    good = {"name": "optics.blur", "cases": 5, "passed": 5}
+    bad = {"name": "optics.far", "cases": 4, "passed": 3, "failed": "63x65: error 2 of 1"}
+    text = drivers.tables(
+        [
+            verified("good", False, [good], {"noise": 0, "noise, exact": 0}),
+            verified("bad", True, [good, bad], {"noise": 3}),
+        ]
+    )
+    assert (
+        "| good | here | some device, some driver | 1 of 1 | 5 of 5 | equal | 61 (shared) | 40 |"
+        in text
+    )
+    assert "| 1 of 2 | 8 of 9 | noise: 3 values differ |" in text.partition("## GPUs")[2]
+    assert "- bad, `optics.far`: 63x65: error 2 of 1" in text
+    assert drivers.bits_text({"noise": 0}) == "equal, no float64"
+    assert drivers.bits_text({"failed": "no memory"}) == "no frame: no memory"
+
+
+def test_cases_of_a_stage_become_one_row():
+    def case(name, error, skipped=""):
+        is_ok = error <= 2.0
+        return {
+            "case": name,
+            "max_error": error,
+            "tolerance": 2.0,
+            "ok": is_ok,
+            "why": "so",
+            "skipped": skipped,
+        }
+
+    cases = [case("first", 1.0), case("second", 3.0), case("third", 0.0, "needs float64")]
+    row = drivers.stage_row("optics.blur", cases)
+    assert row == {
+        "name": "optics.blur",
+        "cases": 2,
+        "passed": 1,
+        "used": 0.5,
+        "skipped": 1,
+        "failed": "second: error 3 of 2",
+    }
+    crashed = drivers.stage_row("optics.blur", [case("(crashed)", float("inf"))])
+    assert crashed["failed"] == "(crashed): so"
+
+
+LOG = """
+Uninitialized value written to local memory address 0x10000000000a0
+\tKernel: columns
+\tAt line 103 (column 5) of input.cl:
+\t  PASSES
+\t
+
+Uninitialized value written to local memory address 0x1000000000140
+\tKernel: columns
+
+OCLGRIND FATAL ERROR (common.cpp:917)
+Unsupported GEP base type: 2
+\tKernel: malvar
+"""
+
+
+def test_messages_of_oclgrind_are_counted_by_kind():
+    found = memory.messages(LOG)
+    assert found["messages"] == {
+        "Uninitialized value written to local memory address #": 2,
+        "OCLGRIND FATAL ERROR (common.cpp:#)": 1,
+    }
+    assert found["example"].endswith("Kernel: columns At line 103 (column 5) of input.cl: PASSES")
+    assert memory.messages("") == {"messages": {}}

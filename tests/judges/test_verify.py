@@ -6,15 +6,18 @@ import signal
 import subprocess
 import time
 from concurrent.futures import ThreadPoolExecutor
+from itertools import islice
 from pathlib import Path
 
 import pytest
 from devices import DEVICES, KINDS
 
+import gpusim.judge.verify
 from gpusim.backends import open_device
 from gpusim.cli.main import main
 from gpusim.domain.errors import DeviceError
 from gpusim.judge.verify import verify, verify_apart
+from gpusim.kernels.stage import stage_module
 
 # Python runs a module `sitecustomize` when it starts: here in every child that judges stages.
 CHILD = """
@@ -151,3 +154,19 @@ def test_the_command_counts_failures(tmp_path, capsys, children):
     assert status == 1 and rows[0]["max_error"] is None
     (line,) = [line for line in out.splitlines() if "FAIL" in line]
     assert BROKEN in line and "its process died of SIGABRT" in line and "0 passed, 1 failed" in out
+
+
+def test_cases_that_need_float64_are_not_run_without_it_and_the_others_are(monkeypatch, capsys):
+    """The stage itself would refuse them, and that would end the rows of its other cases."""
+    device, module = open_device("opencl"), stage_module("sensor.noise")
+    cases = list(islice(module.cases(), 3))  # 1x1, 1x1 in electrons, 1x1 with exact photons
+    monkeypatch.setattr(module, "cases", lambda: [cases[2], *cases[:2]])
+    monkeypatch.setattr(device, "has_fp64", False)
+    rows = list(verify(device, ["sensor.noise"]))
+    assert [bool(row["skipped"]) for row in rows] == [True, False, False]
+    assert all(row["ok"] for row in rows) and "float64" in rows[0]["skipped"]
+    monkeypatch.setattr(gpusim.judge.verify, "verify_devices", lambda *_: rows)
+    assert main(["verify"]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("skip") and "needs float64" in said[0]
+    assert said[-1] == "2 passed, 0 failed, 1 not run"

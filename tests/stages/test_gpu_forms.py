@@ -5,6 +5,7 @@ All with `slow`: each form is built anew, which takes seconds.
 
 import re
 
+import numpy as np
 import pytest
 
 from gpusim.backends.opencl import OpenCLDevice
@@ -26,13 +27,32 @@ CASES = [
 ]  # builds
 
 
+class FullOfNaN(OpenCLDevice):
+    """A CPU's OpenCL device that claims to be a GPU apart from the host; its new memory has NaN."""
+
+    def __init__(self):
+        shared = open_device("opencl:pocl")
+        super().__init__(shared.cl_device, shared.name)
+        self.is_gpu, self.on_host = True, False
+
+    def _empty(self, shape, dtype):
+        array = super()._empty(shape, dtype)
+        if array.nbytes:
+            self._cl.enqueue_fill_buffer(self.queue, array.buffer, np.uint8(0xFF), 0, array.nbytes)
+        return array
+
+    def _entry(self, stage, program, kernel):
+        """Return a kernel, which may use as much local memory as the device says."""
+        entry, of = super()._entry(stage, program, kernel), self._cl.kernel_work_group_info
+        taken = entry.get_work_group_info(of.LOCAL_MEM_SIZE, self.cl_device)
+        assert taken <= self.local_bytes, f"{stage}, {kernel}: {taken} bytes of local memory"
+        return entry
+
+
 @pytest.fixture(scope="module")
 def device():
-    """A CPU's OpenCL device, of this file alone, that claims to be a GPU apart from the host."""
-    shared = open_device("opencl:pocl")
-    own = OpenCLDevice(shared.cl_device, shared.name)
-    own.is_gpu, own.on_host = True, False
-    return own
+    """A device of this file alone: values that no kernel wrote are NaN, and end in a result if it uses them."""
+    return FullOfNaN()
 
 
 def test_stages_with_a_form_for_gpus_are_found():
@@ -80,6 +100,18 @@ def test_the_far_field_goes_one_axis_after_the_other_where_local_memory_does_not
             case.name
         )
     assert "optics.far" in launched and "optics.far_groups" not in launched
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("stage", ["optics.blur", "optics.tiles", "optics.mosaic", "sensor.meter"])
+def test_kernels_of_groups_need_only_the_local_memory_that_every_gpu_has(stage):
+    """OpenCL's least is 32 KiB; sensor.meter needed 16 bytes more for four quantiles."""
+    device = FullOfNaN()
+    device.local_bytes = 2**15
+    for case in list(stage_module(stage).cases())[: 2 * EVERY]:
+        found = public_function(stage)(**case.inputs, device=device)
+        wanted = public_function(stage)(**case.inputs, device="numpy")
+        assert case.error(found, wanted) <= case.tolerance, case.name
 
 
 @pytest.mark.parametrize("stage, first", CASES)
