@@ -371,6 +371,7 @@ def run(monkeypatch, capsys):
         ("noise.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
         ("scaling.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
         ("scaling.py", ("--device", "numpy", "--camera", "nix"), "unknown camera"),
+        ("two_devices.py", ("--device", "numpy,numpy"), "numpy twice"),
         ("threads.py", ("--device", "numpy"), "an OpenCL device of the CPU"),
         ("noise.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
     ],
