@@ -145,7 +145,7 @@ class Batch:
                 loops.append(loop.update(scene=own, exposure_time=seconds, gain=gain))
                 if len(loops) > item + 1:
                     with suppress(GpusimError):  # raised again in its turn
-                        loop.begin(self.output, seed=drawn[0], first=drawn[1])
+                        loop.begin(seed=drawn[0], first=drawn[1])
             loop = loops[item]
             if not item and self._capture is None:  # the items' arrays and the memory of one frame
                 plan = loop.plan

@@ -531,14 +531,13 @@ class Loop:
         self.values.give(content=blurred_content(plan, self.scene), view=self.scene.view)
         self.values["rates"]
 
-    def begin(self, name: str, *, seed: int = 0, first: int = 0) -> None:
-        """Start an output before the plan is known to fit the scene, so that the device has work meanwhile.
+    def begin(self, *, seed: int = 0, first: int = 0) -> None:
+        """Start the next output before the plan is known to fit the scene, so that the device has work meanwhile.
 
-        `output` returns it if the plan fits, and makes it again otherwise. Commands of the last output are all
-        started; else only the blur is, if there is a plan.
+        `output` returns it if the plan fits, and makes it again otherwise. If the commands of the last output serve
+        the scene, all are started; else only the blur is, if there is a plan.
 
         Args:
-            name: A key of `OUTPUTS`.
             seed: Seed of the noise.
             first: Number of the frame.
         """
@@ -548,8 +547,7 @@ class Loop:
         self._last = self._repeated = self._begun = None  # its arrays are rewritten
         repeat = self._usable_repeat()
         if repeat is not None and self._begin_again(repeat, plan):
-            numbers = {"seed": seed, "frame": first} if name == repeat.output else None
-            self._begun = self._continue(repeat, plan, numbers)
+            self._begun = self._continue(repeat, plan, {"seed": seed, "frame": first})
         else:
             self._start(plan)
         self.simulator.device.flush()

@@ -105,7 +105,7 @@ class Stream(Iterator):
                     turn = (turn + 1) % len(devices)
                     if len(begun) > 1:
                         with suppress(GpusimError):  # raised again in its turn
-                            loop.begin(output, seed=seed, first=number + len(begun) - 1)
+                            loop.begin(seed=seed, first=number + len(begun) - 1)
                 if not begun:
                     break
                 last = loop = begun.popleft()
