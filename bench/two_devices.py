@@ -54,9 +54,7 @@ class Streams:
         """Return a stream of so many frames."""
         tolerance = self.arguments.tolerance or None
         simulator = Simulator(self.camera, device=devices, tolerance=tolerance)
-        return simulator.stream(
-            self.scenes(devices, frames), output, seed=1, exposure_time=SECONDS
-        )
+        return simulator.stream(self.scenes(devices, frames), output, seed=1, exposure_time=SECONDS)
 
     def timed(self, devices, output) -> dict:
         """Return a row of one stream: rates [1/s], probes, and the host's time of a frame [us]."""
@@ -89,9 +87,7 @@ class Streams:
     def differing(self, devices, output) -> str:
         """Return the number of values in the first frames that differ from those of the first device."""
         differing = size = 0
-        one, several = (
-            self.stream(each, output, COMPARED) for each in (devices[:1], devices)
-        )
+        one, several = (self.stream(each, output, COMPARED) for each in (devices[:1], devices))
         for own, its in zip(one, several, strict=True):
             own, its = np.array(own), np.array(its)
             differing, size = differing + np.count_nonzero(own != its), size + own.size
@@ -138,9 +134,7 @@ def main():
     for output in ("raw", "codes"):
         check = streams.differing(devices, output)
         turns = [devices[:1], devices]
-        rounds = [
-            [streams.timed(each, output) for each in turns] for _ in range(arguments.repeat)
-        ]
+        rounds = [[streams.timed(each, output) for each in turns] for _ in range(arguments.repeat)]
         for place, each in enumerate(turns):
             mine = [of_turn[place] for of_turn in rounds]
             row = {"name": f"{output}, {len(each)} of {len(devices)} devices", "check": check}

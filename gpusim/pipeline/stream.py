@@ -29,9 +29,9 @@ class Stream(Iterator):
     """An iterator over one frame of each scene, see `Simulator.stream`.
 
     Several devices take the scenes in turn. One thread starts their work: launches do not wait for a device, and two
-    threads would wait for Python's lock. The blur of a scene is launched while the devices before are still at work.
-    The rest of its frame follows when the statistics of the scene before are there, so the bits are those of one
-    device.
+    threads would wait for Python's lock. A frame is launched while the devices before are still at work, see
+    `Loop.begin`. It is handed out when the plan is known to fit its scene, and made again if the plan does not. So the
+    bits are those of one device.
 
     Args:
         simulator: The Simulator.

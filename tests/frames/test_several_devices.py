@@ -317,7 +317,9 @@ def test_devices_work_while_a_scene_is_probed(monkeypatch):
 def test_a_scene_that_a_plan_misses_is_made_again(device, queues, at):
     """Also if its frame, or those behind it, had been launched by the plan that was dropped."""
     (scene,) = cameras.cubes(1, SIZE)
-    scenes = [odd(scene) if number == at else replace(scene, name=str(number)) for number in range(28)]
+    scenes = [
+        odd(scene) if number == at else replace(scene, name=str(number)) for number in range(28)
+    ]
     found = []
     for several in (1, queues):
         simulator = gs.Simulator(gs.open_camera("phone"), device=device, tolerance=1e-3)
