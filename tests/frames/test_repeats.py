@@ -150,10 +150,9 @@ def test_a_scene_that_was_begun_but_not_exposed_is_measured_with_the_next(device
     np.testing.assert_array_equal(found, host(simulator, wanted))
 
 
-@pytest.mark.parametrize("device", KINDS)
-def test_what_is_kept_of_a_repeated_frame_is_made_again_for_the_next(device):
+def test_what_is_kept_of_a_repeated_frame_is_made_again_for_the_next():
     """A batch keeps its array while its frames are the same: a rewritten frame is another one."""
-    simulator, given = open_phone(device), scenes("cube")
+    simulator, given = open_phone("opencl"), scenes("cube")
     plan = simulator.plan(given[0], exposure_time=SECONDS)
     batch = simulator.batch(1, "raw", plan=plan)
     for number, which in enumerate((0, 1, 2, 3, 4, 1)):
@@ -163,11 +162,10 @@ def test_what_is_kept_of_a_repeated_frame_is_made_again_for_the_next(device):
     assert batch._items[0]._repeat.is_current
 
 
-@pytest.mark.parametrize("device", KINDS)
 @pytest.mark.parametrize("other", [None, "seed", "output", "scene"])
-def test_a_frame_that_was_begun_is_the_one_that_is_asked_for(other, device):
+def test_a_frame_that_was_begun_is_the_one_that_is_asked_for(other):
     """Or is made again: with another seed, for another output, or of another scene."""
-    simulator, given = open_phone(device), scenes("cube")
+    simulator, given = open_phone("opencl"), scenes("cube")
     loop, plan = repeat_loop(simulator, given)
     loop.update(scene=given[1]).begin(seed=4, first=7)
     scene, seed = given[2 if other == "scene" else 1], 5 if other == "seed" else 4

@@ -312,14 +312,20 @@ def test_devices_work_while_a_scene_is_probed(monkeypatch):
 
 
 @QUEUES
-@pytest.mark.parametrize("at", [18, 12, 13])  # a scene that is probed, and two that are surveyed
+@pytest.mark.parametrize("at", [18, 13])  # a scene that is probed, and one that is surveyed
 @pytest.mark.parametrize("device", KINDS)
 def test_a_scene_that_a_plan_misses_is_made_again(device, queues, at):
     """Also if its frame, or those behind it, had been launched by the plan that was dropped."""
-    (scene,) = cameras.cubes(1, SIZE)
-    scenes = [
-        odd(scene) if number == at else replace(scene, name=str(number)) for number in range(28)
-    ]
+    (usual,) = cameras.cubes(1, SIZE)
+    strange = odd(usual)
+    if device.startswith(
+        "warp"
+    ):  # on processors a blur is no command that repeats: here it is left out
+        mean = usual.content.values.mean((1, 2), keepdims=True)
+        flat = np.ascontiguousarray(np.broadcast_to(mean, usual.content.values.shape))
+        content = gs.Cube(usual.wavelengths, flat)
+        usual, strange = replace(usual, content=content), replace(usual, name="edges")
+    scenes = [strange if k == at else replace(usual, name=str(k)) for k in range(28)]
     found = []
     for several in (1, queues):
         simulator = gs.Simulator(gs.open_camera("phone"), device=device, tolerance=1e-3)
@@ -395,7 +401,7 @@ def test_a_wrong_scene_is_found_as_on_one_device(name, wrong, is_gpu):
 
 @pytest.mark.parametrize("at", [0, 1])
 def test_an_error_of_one_device_ends_the_stream_in_one_line(name, at, monkeypatch):
-    """Whether the blur, which is launched early, or the rest fails: the frames before have come."""
+    """Whether the blur or the noise fails: the frames before have come."""
     simulator, asked = gs.Simulator(CAMERA, device=together(name, 2)), []
     scenes = cameras.cubes(10, SIZE)
     start, broken = Command.start, simulator.devices[at]
