@@ -18,9 +18,10 @@ from dataclasses import replace
 
 import numpy as np
 from frames import SECONDS, WARM, cube
-from results import add_repeat, add_size, checked, count, finish, parser, quartiles, start
+from results import add_repeat, add_size, checked, count, finish, parser, start
 
 from gpusim.backends import open_devices
+from gpusim.bench.timing import find_quartiles
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
 from gpusim.io.camera.cameras import open_camera
@@ -139,11 +140,11 @@ def main():
             mine = [of_turn[place] for of_turn in rounds]
             row = {"name": f"{output}, {len(each)} of {len(devices)} devices", "check": check}
             for key in mine[0]:
-                row |= quartiles([one[key] for one in mine], key)
+                row |= find_quartiles([one[key] for one in mine], key)
             for key in ("rate", "between"):
                 ratios = [one[place][key] / one[0][key] for one in rounds]
-                row |= quartiles(ratios, f"{key}_over")
-            row |= quartiles([1e3 / one["rate"] for one in mine])
+                row |= find_quartiles(ratios, f"{key}_over")
+            row |= find_quartiles([1e3 / one["rate"] for one in mine])
             print(shown(row), flush=True)
             rows.append(row)
     finish(
