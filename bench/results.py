@@ -10,6 +10,7 @@ import argparse
 import contextlib
 import datetime
 import json
+import os
 import platform
 import subprocess
 import sys
@@ -75,6 +76,15 @@ def ready(arguments, bench: str):
 
     Raises BadFile, DeviceError, OutOfRange, DoesNotFit.
     """
+    old = checked(arguments, bench)
+    return open_device(arguments.device), old
+
+
+def checked(arguments, bench: str) -> dict | None:
+    """Check all arguments but the device; returns the old result, if any.
+
+    Raises BadFile, OutOfRange, DoesNotFit.
+    """
     if getattr(arguments, "size", None) is not None:
         checked_size(arguments.size)
     check_output(arguments.json)
@@ -85,7 +95,7 @@ def ready(arguments, bench: str):
             raise BadFile(
                 arguments.against, f"is a result of {old['bench']!r}; wanted one of {bench!r}"
             )
-    return open_device(arguments.device), old
+    return old
 
 
 def finish(

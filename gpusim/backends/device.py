@@ -214,6 +214,9 @@ class Device:
         """
         raise NotImplementedError
 
+    def flush(self) -> None:
+        """Let the device begin all earlier launches, without waiting for them."""
+
     def sync(self) -> None:
         """Wait for all earlier launches."""
 

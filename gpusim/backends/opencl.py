@@ -341,6 +341,10 @@ class OpenCLDevice(Taped):
             )
         return self._programs[key]
 
+    def flush(self):
+        with self._lock:  # the queue stays
+            self.queue.flush()
+
     def sync(self):
         with self._lock:
             done, self._in_flight = self._in_flight, []

@@ -141,9 +141,17 @@ class Tape:
         Nothing changes then. Kernels that read an array in another form have that form among their
         arguments, not the array itself.
         """
+        return self._replace(others, True)
+
+    def exchange(self, others) -> bool:
+        """Give the recorded kernels that use an array another one, pairs (old, new); False if it is impossible.
+
+        Unlike `replace_arrays`, not every old array has to be in use.
+        """
+        return self._replace(others, False)
+
+    def _replace(self, others, is_each_used) -> bool:
         news = {id(old): new for old, new in others}
-        if len(news) < len(others) and any(news[id(old)] is not new for old, new in others):
-            return False  # two for one
         if any(id(array) in news for array in self.viewed):
             return False
         used = set()
@@ -153,20 +161,13 @@ class Tape:
             if own:
                 used |= own
                 users.append(command)
-        if len(used) < len(news):
+        if is_each_used and len(used) < len(news):
             return False
+        if any(id(old) in used and news[id(old)] is not new for old, new in others):
+            return False  # two for one
         for command in users:
             command.set(tuple([news.get(id(arg), arg) for arg in command.args]))
         return True
-
-    def exchange(self, others) -> bool:
-        """Give the recorded kernels that use an array another one, pairs (old, new); False if it is impossible.
-
-        Unlike `replace_arrays`, not every old array has to be in use.
-        """
-        used = self.used
-        own = [pair for pair in others if id(pair[0]) in used]
-        return not own or self.replace_arrays(own)
 
     @property
     def used(self) -> set[int]:

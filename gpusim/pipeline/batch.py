@@ -140,12 +140,12 @@ class Batch:
         frames = []
         plans = []
         for item, (scene, _, _, _, seed, number) in enumerate(rows):
-            for own, camera, seconds, gain, *_ in rows[len(loops) : item + 1 + ahead]:
+            for own, camera, seconds, gain, *drawn in rows[len(loops) : item + 1 + ahead]:
                 loop = self._loop(len(loops), own, camera)
                 loops.append(loop.update(scene=own, exposure_time=seconds, gain=gain))
                 if len(loops) > item + 1:
                     with suppress(GpusimError):  # raised again in its turn
-                        loop.begin()
+                        loop.begin(seed=drawn[0], first=drawn[1])
             loop = loops[item]
             if not item and self._capture is None:  # the items' arrays and the memory of one frame
                 plan = loop.plan

@@ -150,14 +150,21 @@ class Cache:
         found = self._entries.get(name)
         return None if found is None else found[2]
 
-    def expire(self, name: str) -> None:
-        """Forget for which arguments a result was computed: something else rewrites its arrays."""
+    def expire(self, name: str) -> list[tuple[Any, tuple]]:
+        """Forget for which arguments a result was computed: something else rewrites its arrays.
+
+        Returns:
+            These arrays, each with its writer, for `renew`.
+        """
         key, value, tape = self._entries[name]
         if key[0] is not None:
             self._entries[name] = (None, (), {}, {}), value, tape
             if tape is not None and not tape.commands:
                 tape.forget()  # its constants may be written to, too
         self._set_versions(name, value, value)
+        own = self._token, name
+        parts = value if isinstance(value, tuple) else (value,)
+        return [(part, own) for part in parts if getattr(part, _WRITER, NOBODY)[0] == own]
 
     def host_accesses(self) -> list[tuple[str, tuple[str, ...], tuple[str, ...]]]:
         """Return results whose last computation did not only start kernels.
@@ -196,6 +203,12 @@ class Cache:
 def version_of(array: Any) -> int:
     """Return the version of a device array's contents; 0: no step has rewritten them."""
     return getattr(array, _WRITER, NOBODY)[1]
+
+
+def renew(written: list[tuple[Any, tuple]]) -> None:
+    """Give arrays of `Cache.expire` new versions: they are rewritten once more."""
+    for array, own in written:
+        setattr(array, _WRITER, (own, next(_VERSIONS)))
 
 
 def _require_pure(name, function):

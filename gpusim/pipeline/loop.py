@@ -2,6 +2,8 @@
 
 import dataclasses
 import time
+from collections.abc import Callable
+from functools import partial
 from itertools import chain
 from math import prod
 from numbers import Real
@@ -117,6 +119,18 @@ class _Check:
     seconds: float
 
 
+@dataclasses.dataclass(frozen=True, eq=False)
+class _Begun:
+    """An output of a scene whose commands were started before the plan is known to fit.
+
+    check: of the scene, or None. numbers: of the frame; None: it is not drawn.
+    """
+
+    scene: Scene
+    check: _Check | None
+    numbers: dict[str, int] | None
+
+
 @dataclasses.dataclass
 class Planned:
     """A plan with its camera, or None, and its probes.
@@ -222,7 +236,7 @@ class Loop:
         self._steps: dict[str, list[Step]] = {}  # lists of steps by name
         self._made_of: dict[str, tuple] = {}  # the arguments from which they were made
         self._pending: _Check | None = None
-        self._last_metered: tuple[float, float] | None = None
+        self._metered: Callable | None = None  # gives exposure time [s] and gain metered last
         # exposure time [s] and gain of this frame if metered late; kept until the next update
         self._frame_exposure: tuple[float, float] | None = None
         self._drift: float | None = None  # of the plan, in the last scene that was checked
@@ -231,7 +245,8 @@ class Loop:
         self._repeat: Repeat | None = None  # commands of the last output
         self._repeat_of: tuple = ()  # settings that they are for
         self._repeated: Scene | None = None  # the scene whose light their arrays hold
-        self._begun: Scene | None = None  # the scene whose blur they have started
+        self._begun: _Begun | None = None  # the output that they have started
+        self._drawn: dict[str, int] | None = None  # numbers of the frame in their last array
         self._checked: Content | None = None  # the content that was measured last
         self._outputs = 0  # outputs in a row with the same settings
         self._noted: tuple = (None,)  # these
@@ -420,8 +435,8 @@ class Loop:
             if self._exposure_time is None
             else self._exposure_time
         )
-        if seconds is None and self.meters_late and self._last_metered:
-            seconds = self._last_metered[0]
+        if seconds is None and self.meters_late and self._metered:
+            seconds, _ = self._metered()
         account = self._probe(plan, seconds)
         does = holds(plan, account)
         probing.found(scene, account, does)
@@ -516,16 +531,26 @@ class Loop:
         self.values.give(content=blurred_content(plan, self.scene), view=self.scene.view)
         self.values["rates"]
 
-    def begin(self) -> None:
-        """Launch the blur of the scene if there is a plan, so that the device has work before the frame is made."""
+    def begin(self, *, seed: int = 0, first: int = 0) -> None:
+        """Start the next output before the plan is known to fit the scene, so that the device has work meanwhile.
+
+        `output` returns it if the plan fits, and makes it again otherwise. If the commands of the last output serve
+        the scene, all are started; else only the blur is, if there is a plan.
+
+        Args:
+            seed: Seed of the noise.
+            first: Number of the frame.
+        """
         plan = self._usable_plan() if self.capture is None else None
-        if plan is not None and not (self._last and self._last[1:3] == (plan, self.scene)):
-            self._last = self._repeated = None  # its arrays are rewritten
-            repeat = self._usable_repeat()
-            if repeat is not None and self._begin_again(repeat, plan):
-                self._begun = self.scene
-            else:
-                self._start(plan)
+        if plan is None or (self._last and self._last[1:3] == (plan, self.scene)):
+            return
+        self._last = self._repeated = self._begun = None  # its arrays are rewritten
+        repeat = self._usable_repeat()
+        if repeat is not None and self._begin_again(repeat, plan):
+            self._begun = self._continue(repeat, plan, {"seed": seed, "frame": first})
+        else:
+            self._start(plan)
+        self.simulator.device.flush()
 
     def follow(self, other: "Loop") -> None:
         """Continue after a frame of another loop with the same plan, as if this loop had made that frame.
@@ -533,10 +558,10 @@ class Loop:
         Args:
             other: Loop on another device of the same kind.
         """
-        if other is not self:
-            self._pending, other._pending = other._pending, None
-            self._last_metered, self._drift = other._last_metered, other._drift
-            self.before.checked, self._checked = (), None
+        self._pending, other._pending = other._pending, None
+        self._metered, self._drift = other._metered, other._drift
+        for loop in (self, other):  # scenes between those of a loop are measured by others
+            loop.before.checked, loop._checked = (), None
 
     def _choose_exposure(self):
         """Return exposure time [s] and analog gain: given, the camera's, or metered from electrons per second."""
@@ -547,11 +572,12 @@ class Loop:
         if self._frame_exposure is not None:
             # also for a repeated frame: its own light sets the next one
             return self._frame_exposure
-        if self.meters_late and self._last_metered:
-            found = self._last_metered
+        if self.meters_late and self._metered:
+            found = self._metered()
         else:
             self.values.set_numbers(brightness=self._brightness)
-            found = self._last_metered = self.values["metered"]
+            found = self.values["metered"]
+            self._metered = partial(tuple, found)
         self._frame_exposure = found if self.meters_late else None
         return found
 
@@ -564,17 +590,17 @@ class Loop:
             return
         self.before.checked = plan, checked
         names = [self._light, "survey"] if plan.find(Watch) else [self._light]
-        self._fetch_check(plan, {name: values[name] for name in names}, seconds)
+        self._pending = self._fetch_check(plan, {name: values[name] for name in names}, seconds)
 
-    def _fetch_check(self, plan, measured, seconds):
-        """Fetch the statistics "light" and "survey" of the scene."""
+    def _fetch_check(self, plan, measured, seconds) -> _Check:
+        """Begin to fetch the statistics "light" and "survey" of the scene."""
         device, found = self.simulator.device, None
         light = device.fetch(measured[self._light])
         if plan.find(Watch) and plan.scene is not self.scene and self._fixed_plan is None:
             found = device.fetch(measured["survey"])
         sensor = self.simulator.camera.sensor
         pixels = prod(plan.scene.shape) * (len(sensor.channels) if sensor.stacked else 1)
-        self._pending = _Check(self.scene, plan, light, found, pixels, seconds)
+        return _Check(self.scene, plan, light, found, pixels, seconds)
 
     def judge(self) -> None:
         """Wait for the statistics of the last scene, and drop the plan if it does not fit.
@@ -596,9 +622,9 @@ class Loop:
             )
         if self.meters_late and light[0] > 0:
             sensor, readout = self.simulator.camera.sensor, self.simulator.readout
-            self._last_metered = choose_exposure(
-                light, check.pixels, check.seconds, **metering_numbers(sensor, readout)
-            )
+            asked = light, check.pixels, check.seconds
+            # called if the next exposure is automatic
+            self._metered = partial(choose_exposure, *asked, **metering_numbers(sensor, readout))
         if check.plan.scene is check.scene or self._fixed_plan is not None:
             return
         plan, scene, probing, self._drift = check.plan, check.scene, self.before.probing, None
@@ -638,13 +664,16 @@ class Loop:
             found, self._plan_of_capture = self.capture.output(self, name, seed=seed, first=first)
             return found
         exposure, values, repeat = self.expose(), self.values, self._repeat
+        drawn, self._drawn = self._drawn, None
         if (
             repeat is not None
             and repeat.output == name
             and self._repeated is self.scene
             and repeat.is_current
         ):
-            repeat.draw(self.simulator.device, {"seed": seed, "frame": first})
+            numbers = {"seed": seed, "frame": first}
+            if drawn != numbers:
+                repeat.draw(self.simulator.device, numbers)
             return repeat.result
         if name == "irradiance":
             self._use("irradiance", self.simulator.imaging.irradiance_steps, exposure.plan)
@@ -671,12 +700,13 @@ class Loop:
 
     def _expose_again(self):
         """Return the exposure, made by the commands of the last output; None if they do not serve the scene."""
-        repeat, scene = self._usable_repeat(), self.scene
+        repeat, scene, begun = self._usable_repeat(), self.scene, self._begun
+        is_done, self._repeated = scene is self._repeated, None
+        self._begun = self._drawn = None
         if repeat is None:
             return None
         plan, _ = self.before.plan or (None, None)
-        is_done, is_begun, self._begun = scene is self._repeated, scene is self._begun, None
-        self._repeated = None
+        is_begun = begun is not None and begun.scene is scene
         if not (
             (is_done or is_begun or self._begin_again(repeat, plan))
             and self._plan_still_valid()
@@ -684,12 +714,23 @@ class Loop:
         ):
             return None
         if not is_done:
-            repeat.expose(self.simulator.device)
-            if self._needs_check(plan):
+            begun = begun if is_begun else self._continue(repeat, plan)
+            self._drawn = begun.numbers
+            if begun.check is not None:
                 self.before.checked, self._checked = (), scene.content
-                self._fetch_check(plan, repeat.results, repeat.exposure.exposure_time)
+                self._pending = begun.check
         self._repeated = scene
         return repeat.exposure
+
+    def _continue(self, repeat, plan, numbers=None) -> _Begun:
+        """Start what follows the blur of the scene: its exposure, and the frame with these numbers."""
+        device, check = self.simulator.device, None
+        repeat.expose(device)
+        if self._needs_check(plan):
+            check = self._fetch_check(plan, repeat.results, repeat.exposure.exposure_time)
+        if numbers is not None:
+            repeat.draw(device, numbers)
+        return _Begun(self.scene, check, numbers)
 
     def _begin_again(self, repeat, plan) -> bool:
         """Start the blur of the scene with the commands of the last output; False if they cannot serve it."""
@@ -783,7 +824,7 @@ class Loop:
             plan: The plan.
             camera: The camera that it was made for.
         """
-        self._pending = self._last = self._last_metered = self._frame_exposure = self._drift = None
+        self._pending = self._last = self._metered = self._frame_exposure = self._drift = None
         self.before.checked, self._checked, self.before.probing = (), None, Probing()
         self.before.plan = plan, camera
         self.before.probing.set_plan(plan)

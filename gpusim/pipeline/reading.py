@@ -149,9 +149,12 @@ class Reading:
 
     def _take(self, samples, dtype, rows, cols=None):
         """Return windows of stored samples as a new NumPy array."""
-        return np.moveaxis(
-            np.array(self.device.numpy(take(samples, rows, cols, device=self.device)), dtype), 0, -3
-        )
+        taken = take(samples, rows, cols, device=self.device)
+        return np.moveaxis(self._own(taken, dtype), 0, -3)
+
+    def _own(self, array, dtype):
+        """Return the values of a device array, which nothing else writes to."""
+        return np.array(self.device.numpy(array), dtype, copy=self.device.on_host or None)
 
     def whole(self) -> Content:
         """Return the content in host memory; a picture keeps its codes. Raises BadData."""
@@ -168,4 +171,4 @@ class Reading:
         if self._stored is None:
             return self.content.brightness(total)
         table = np.asarray(total @ self.content.entry_spectra.T)[None]
-        return np.array(self.device.numpy(planes(self.device, table, self._stored))[0], np.float32)
+        return self._own(planes(self.device, table, self._stored), np.float32)[0]

@@ -5,7 +5,7 @@ from typing import Any
 
 from gpusim.backends import Device
 from gpusim.backends.tape import Tape
-from gpusim.pipeline.cache import OTHER, Cache, One, compare, ones, version_of
+from gpusim.pipeline.cache import OTHER, Cache, One, compare, ones, renew, version_of
 from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.step import Rate, Step, Values, steps_needed
 
@@ -100,7 +100,7 @@ class Repeat:
         self._commands: dict[tuple, list] = {}  # by the names of their results
         self._to_expose: set[str] = set()  # values of scenes that were begun
         self._to_draw: set[str] = set()
-        self._is_first = True
+        self._written: list | None = None  # arrays that commands rewrite, with their writers
         self.results = {name: self._known[name] for name in exposed}
         self.result = self._known[last]
 
@@ -168,13 +168,18 @@ class Repeat:
         if names not in self._commands:
             tapes = dict(self._tapes)
             self._commands[names] = [each for name in names for each in tapes[name].commands]
-        if self._commands[names]:
+        if not self._commands[names]:
+            return
+        try:
             device.start(self._commands[names])
+        except BaseException:
+            self._version = -1  # never current again: arrays may be half written
+            raise
 
     def _expire(self):
         """Let the caches know that something else rewrites their arrays."""
-        if self._is_first:
-            self._is_first = False
-            self._values.forget_all()
-        for cache, name in self._rewritten:
-            cache.expire(name)
+        if self._written is not None:
+            renew(self._written)
+            return
+        self._values.forget_all()
+        self._written = [one for cache, name in self._rewritten for one in cache.expire(name)]

@@ -29,9 +29,9 @@ class Stream(Iterator):
     """An iterator over one frame of each scene, see `Simulator.stream`.
 
     Several devices take the scenes in turn. One thread starts their work: launches do not wait for a device, and two
-    threads would wait for Python's lock. The blur of a scene is launched while the devices before are still at work.
-    The rest of its frame follows when the statistics of the scene before are there, so the bits are those of one
-    device.
+    threads would wait for Python's lock. A frame is launched while the devices before are still at work, see
+    `Loop.begin`. It is handed out when the plan is known to fit its scene, and made again if the plan does not. So the
+    bits are those of one device.
 
     Args:
         simulator: The Simulator.
@@ -83,7 +83,7 @@ class Stream(Iterator):
         capture, turn = self._settings.get("capture"), 0
         loops: list[Loop] = []  # one for each device
         begun: deque[Loop] = deque()  # those with the next scenes, in order
-        last: Loop | None = None  # that with the last frame
+        last: Loop | None = None  # that with the statistics of the last frame
         end: Exception | None = None  # what ended the scenes
         devices = [simulator.device for simulator in simulators]
         uploaded = _upload_scenes(devices, map(checked_scene, scenes))
@@ -105,16 +105,16 @@ class Stream(Iterator):
                     turn = (turn + 1) % len(devices)
                     if len(begun) > 1:
                         with suppress(GpusimError):  # raised again in its turn
-                            loop.begin()
+                            loop.begin(seed=seed, first=number + len(begun) - 1)
                 if not begun:
                     break
-                loop = begun.popleft()
-                if last is not None:
-                    loop.follow(last)
-                last = loop
+                last = loop = begun.popleft()
                 frame = loop.output(output, seed=seed, first=number)
                 number += capture.count if capture else 1
                 self.plan = loop.plan_of_output
+                if begun:
+                    last = begun[0]
+                    last.follow(loop)
                 yield frame
             if last is not None:
                 last.judge()

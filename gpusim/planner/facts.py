@@ -186,7 +186,8 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
     if len(first) >= rows - 1:
         return first, even
     # BLAS scales: no square overflows
-    lengths = np.array([scipy.linalg.norm(row, check_finite=False) for row in brightness])
+    norm = scipy.linalg.get_blas_funcs("nrm2", dtype=brightness.dtype)
+    lengths = np.array([norm(row) for row in brightness])
     squares = (lengths / max(lengths.max(), 1e-300)) ** 2
     light = squares[:-1] + squares[1:]
     bright = np.argsort(light, kind="stable")[::-1][:MOST_BRIGHT]

@@ -7,7 +7,8 @@ import pytest
 from devices import KINDS
 
 import gpusim as gs
-from gpusim.domain.errors import BadData
+from gpusim.backends.buffers import Command
+from gpusim.domain.errors import BadData, OutOfMemory
 from gpusim.domain.scene import View
 
 ROWS, COLS, SECONDS = 30, 44, 0.01
@@ -142,10 +143,56 @@ def test_a_scene_that_was_begun_but_not_exposed_is_measured_with_the_next(device
     simulator, given = open_phone(device), scenes("materials")
     moved = [replace(scene, view=View(shift=(0.4, 0.1 * k))) for k, scene in enumerate(given)]
     loop, plan = repeat_loop(simulator, moved)
-    loop.update(scene=moved[1]).begin()
+    loop.update(scene=moved[1]).begin(first=7)
     last = replace(moved[1], view=View(shift=(0.3, 0.2)))
     found = host(simulator, loop.update(scene=last).raw(first=5))
     wanted = simulator.loop(last, SECONDS, plan=plan).raw(first=5)
+    np.testing.assert_array_equal(found, host(simulator, wanted))
+
+
+def test_what_is_kept_of_a_repeated_frame_is_made_again_for_the_next():
+    """A batch keeps its array while its frames are the same: a rewritten frame is another one."""
+    simulator, given = open_phone("opencl"), scenes("cube")
+    plan = simulator.plan(given[0], exposure_time=SECONDS)
+    batch = simulator.batch(1, "raw", plan=plan)
+    for number, which in enumerate((0, 1, 2, 3, 4, 1)):
+        found = host(simulator, batch(given[which], exposure_time=SECONDS, first=number))
+        one = simulator.loop(given[which], SECONDS, plan=plan).raw(first=number)
+        np.testing.assert_array_equal(found[0], host(simulator, one))
+    assert batch._items[0]._repeat.is_current
+
+
+@pytest.mark.parametrize("other", [None, "seed", "output", "scene"])
+def test_a_frame_that_was_begun_is_the_one_that_is_asked_for(other):
+    """Or is made again: with another seed, for another output, or of another scene."""
+    simulator, given = open_phone("opencl"), scenes("cube")
+    loop, plan = repeat_loop(simulator, given)
+    loop.update(scene=given[1]).begin(seed=4, first=7)
+    scene, seed = given[2 if other == "scene" else 1], 5 if other == "seed" else 4
+    output = "codes" if other == "output" else "raw"
+    found = host(simulator, loop.update(scene=scene).output(output, seed=seed, first=7))
+    one = simulator.loop(scene, SECONDS, plan=plan).output(output, seed=seed, first=7)
+    np.testing.assert_array_equal(found, host(simulator, one))
+
+
+@pytest.mark.parametrize("stage", ["spectral.", "optics.", "sensor."])
+def test_what_fails_while_it_is_begun_is_made_again(stage, monkeypatch):
+    """Memory that is refused once: nothing of the frame that was half written is used."""
+    simulator, given = open_phone("opencl"), scenes("cube")
+    loop, plan = repeat_loop(simulator, given)
+    start = Command.start
+
+    def fails_once(self):
+        if self.stage.startswith(stage):
+            monkeypatch.setattr(Command, "start", start)
+            raise MemoryError
+        start(self)
+
+    monkeypatch.setattr(Command, "start", fails_once)
+    with pytest.raises(OutOfMemory):
+        loop.update(scene=given[1]).begin(first=7)
+    found = host(simulator, loop.raw(first=7))
+    wanted = simulator.loop(given[1], SECONDS, plan=plan).raw(first=7)
     np.testing.assert_array_equal(found, host(simulator, wanted))
 
 

@@ -15,6 +15,7 @@ import cameras
 import devices
 import numpy as np
 import pytest
+from devices import KINDS
 from PIL import Image
 
 import gpusim as gs
@@ -22,8 +23,11 @@ from gpusim.apps.devices import run_together
 from gpusim.backends import open_device, open_devices, probe
 from gpusim.backends.buffers import Command
 from gpusim.backends.opencl import OpenCLDevice
+from gpusim.backends.warp import WarpDevice
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadData, DeviceError, GpusimError
+from gpusim.pipeline import planning
+from gpusim.planner.given import judge_given
 
 SIZE = (96, 64)
 CAMERA = cameras.camera_with(noise={"prnu": 0.01})
@@ -248,7 +252,10 @@ def test_a_given_plan_makes_all_frames(name):
 
 
 def test_a_device_has_work_while_the_one_before_is_at_work(monkeypatch):
-    """The blur of a scene is launched before the host waits for the statistics of the scene before the last."""
+    """The next scene is begun before the host waits for the statistics of the scene before.
+
+    Its blur at first; the whole frame as soon as commands repeat, which is after three frames of each device.
+    """
     log, fetch, start = [], OpenCLDevice.fetch, Command.start
 
     def fetched(self, array):
@@ -262,7 +269,7 @@ def test_a_device_has_work_while_the_one_before_is_at_work(monkeypatch):
     monkeypatch.setattr(OpenCLDevice, "fetch", fetched)
     monkeypatch.setattr(Command, "start", started)
     simulator = gs.Simulator(CAMERA, device=pair_of_gpus())
-    for _ in simulator.stream(cameras.cubes(12, SIZE), "raw", exposure_time=0.01):
+    for _ in simulator.stream(cameras.cubes(14, SIZE), "raw", exposure_time=0.01):
         log.append(("frame", None))
     frames = [place for place, (what, _) in enumerate(log) if what == "frame"]
     for number, (begin, end) in enumerate(pairwise(frames[:-1]), 1):
@@ -270,12 +277,72 @@ def test_a_device_has_work_while_the_one_before_is_at_work(monkeypatch):
         steps = log[begin + 1 : end]
         (wait,) = (place for place, (what, _) in enumerate(steps) if what == "wait")
         assert steps[wait][1] is before
-        assert {device for what, device in steps if what == "sensor.noise"} == {own}
+        drawn = [device for what, device in steps if what == "sensor.noise"]
         # this frame's blur was launched before the frame before was made: now that of the next is
         if number > 1:
             blurs = [place for place, (what, _) in enumerate(steps) if what.startswith("optics.")]
             assert blurs and max(blurs) < wait
             assert {steps[place][1] for place in blurs} == {before}
+        if number < 6:
+            assert drawn[-1] is own
+        else:
+            assert drawn == [before] and wait == len(steps) - 1
+
+
+def test_devices_work_while_a_scene_is_probed(monkeypatch):
+    """The frame of that scene and those on the other devices have been launched."""
+    drawn, probed, start = [], [], Command.start
+
+    def started(self):
+        drawn.extend([self.device] * (self.stage == "sensor.noise"))
+        start(self)
+
+    def judged(plan, question, *args):
+        probed.append((question.scene.name, len(drawn)))
+        return judge_given(plan, question, *args)
+
+    monkeypatch.setattr(Command, "start", started)
+    monkeypatch.setattr(planning, "judge_given", judged)
+    scenes = [replace(one, name=str(k)) for k, one in enumerate(cameras.cubes(1, SIZE) * 20)]
+    simulator = gs.Simulator(CAMERA, device=pair_of_gpus(), tolerance=1e-3)
+    for _ in simulator.stream(scenes, "raw", exposure_time=0.01):
+        pass
+    assert [name for name, _ in probed] == ["1", "5", "18"]
+    assert probed[-1][1] == 18 + 2  # before, nothing repeats yet
+
+
+@QUEUES
+@pytest.mark.parametrize("at", [18, 13])  # a scene that is probed, and one that is surveyed
+@pytest.mark.parametrize("device", KINDS)
+def test_a_scene_that_a_plan_misses_is_made_again(device, queues, at):
+    """Also if its frame, or those behind it, had been launched by the plan that was dropped."""
+    (usual,) = cameras.cubes(1, SIZE)
+    strange = odd(usual)
+    if device.startswith(
+        "warp"
+    ):  # on processors a blur is no command that repeats: here it is left out
+        mean = usual.content.values.mean((1, 2), keepdims=True)
+        flat = np.ascontiguousarray(np.broadcast_to(mean, usual.content.values.shape))
+        content = gs.Cube(usual.wavelengths, flat)
+        usual, strange = replace(usual, content=content), replace(usual, name="edges")
+    scenes = [strange if k == at else replace(usual, name=str(k)) for k in range(28)]
+    found = []
+    for several in (1, queues):
+        simulator = gs.Simulator(gs.open_camera("phone"), device=device, tolerance=1e-3)
+        if device.startswith("warp"):  # its processor has one name
+            more = [WarpDevice("cpu", device) for _ in range(several - 1)]
+            simulator.devices = [simulator.device, *more]
+        else:
+            simulator.devices = open_devices(together(device, several))
+        stream = simulator.stream(scenes, "raw", seed=2, exposure_time=0.01)
+        found.append([(np.array(frame), stream.plan.scene.name) for frame in stream])
+    one, several = found
+    plans = [name for _, name in one]
+    replaced = at if at == 18 else at + 1  # the frame itself, or the one after it
+    assert plans == ["0"] * replaced + [scenes[replaced].name] * (28 - replaced)
+    assert [name for _, name in several] == plans
+    for number, ((frame, _), (other, _)) in enumerate(zip(one, several, strict=True)):
+        np.testing.assert_array_equal(frame, other, err_msg=str(number))
 
 
 # ---- what ends a stream
@@ -334,7 +401,7 @@ def test_a_wrong_scene_is_found_as_on_one_device(name, wrong, is_gpu):
 
 @pytest.mark.parametrize("at", [0, 1])
 def test_an_error_of_one_device_ends_the_stream_in_one_line(name, at, monkeypatch):
-    """Whether the blur, which is launched early, or the rest fails: the frames before have come."""
+    """Whether the blur or the noise fails: the frames before have come."""
     simulator, asked = gs.Simulator(CAMERA, device=together(name, 2)), []
     scenes = cameras.cubes(10, SIZE)
     start, broken = Command.start, simulator.devices[at]

@@ -1,6 +1,7 @@
 """The scripts in bench/: what they store is read again, compared and shown, and no figure of theirs is pasted."""
 
 import json
+import os
 import runpy
 import subprocess
 import sys
@@ -372,6 +373,7 @@ def run(monkeypatch, capsys):
         ("loops.py", ("--device", "numpy", "--size", "big"), "wanted COLSxROWS"),
         ("noise.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
         ("noise.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
+        ("two_devices.py", ("--device", "numpy,numpy"), "numpy twice"),
         ("noise.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
     ],
 )
