@@ -7,7 +7,7 @@
 The first form runs all cases of all stages as `gpusim verify` does, with caches that are empty at
 the beginning, and draws the same frame as every other driver: fixed patterns, chip, photons, read
 noise and binning of one given mean. The second form replaces the tables between `<!-- drivers -->`
-and `<!-- end of drivers -->` by those of all results in bench/results/drivers, also of
+and `<!-- end of drivers -->` by the tables of all results in bench/results/drivers, also of
 bench/memory.py.
 
 A stored result of this script has a row for each stage: "cases", "passed", "used" (the largest
@@ -231,7 +231,7 @@ def tables(results: list[dict]) -> str:
 
 
 def write_page(path: Path):
-    """Replace the tables of a page by those of all stored results."""
+    """Replace the tables of a page by the tables of all stored results."""
     results = [load(each) for each in sorted(STORED.glob("*.json"))]
     try:
         text = path.read_text()

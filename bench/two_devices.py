@@ -10,7 +10,7 @@ frames.
 `frames/s` has these probes in it. `between probes` leaves out the calls that probed. `over` is the rate of
 all devices over the rate of the first one, in the same round. `host us` is the processor time of the thread
 that asks for frames, per frame between probes: it limits the number of devices. `check` counts the values
-of a stream's frames that differ from those of the first device.
+of a stream's frames that the first device makes differently.
 """
 
 import time
@@ -86,7 +86,7 @@ class Streams:
         }
 
     def differing(self, devices, output) -> str:
-        """Return the number of values in the first frames that differ from those of the first device."""
+        """Return the number of values in the first frames that the first device makes differently."""
         differing = size = 0
         one, several = (self.stream(each, output, COMPARED) for each in (devices[:1], devices))
         for own, its in zip(one, several, strict=True):

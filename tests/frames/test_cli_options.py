@@ -203,7 +203,6 @@ ROWS = {
         "picture": ("first.json second.json", "--picture picture.png"),
     },
     "bench pack": {
-        "folder": ("packed", "other"),
         "stage": ("packed", "--stage sensor.noise"),
         "size": ("packed", "--size 24x16"),
         "archive": ("packed", "--archive packed.zip"),
