@@ -24,7 +24,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
-from results import HERE, about, in_process, load, parser, save, start
+from results import HERE, about, in_process, load, parser, save, start, without_folders
 
 from gpusim.backends import open_device
 from gpusim.domain.errors import BadFile, OutOfRange
@@ -97,7 +97,7 @@ def stage_row(name: str, rows: list[dict]) -> dict:
         first = failures[0]
         error = f"error {first['max_error']:.2g} of {first['tolerance']:.2g}"
         said = first["why"] if first["case"].startswith("(") else error
-        made["failed"] = f"{first['case']}: {said}"
+        made["failed"] = without_folders(f"{first['case']}: {said}")
     return made
 
 

@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from results import count, finish, in_process, parser, ready, start
+from results import count, finish, in_process, parser, ready, start, without_folders
 
 from gpusim.backends import open_device
 from gpusim.backends.opencl import OpenCLDevice
@@ -49,6 +49,7 @@ def one(device: str, stage: str, form: str, limit: float) -> dict:
 def messages(text: str) -> dict:
     """Return the messages of a log by kind, numbers and addresses left out, and the first one."""
     # a message: lines without indent, then the place, indented
+    text = without_folders(text)
     found = re.findall(r"^(?=\S)((?:\S.*\n)+)((?:\t.*\n)*)", text, re.MULTILINE)
     kinds = collections.Counter(kind(head) for head, _ in found)
     made: dict = {"messages": dict(kinds)}

@@ -23,8 +23,8 @@ from importlib.util import find_spec
 import numpy as np
 from results import add_repeat, compared, finish, parser, ready, start
 
-from gpusim.bench.machine import count_cores
 from gpusim.bench.timing import find_quartiles, print_times
+from gpusim.domain.cores import count_cores
 from gpusim.domain.errors import BadData
 from gpusim.kernels.stage import make_resident, public_function, stage_module
 

@@ -7,19 +7,16 @@ and other figures.
 """
 
 import argparse
-import contextlib
 import datetime
 import json
 import os
-import platform
+import re
 import subprocess
 import sys
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from gpusim.backends import open_device
-from gpusim.backends.probe import identity
-from gpusim.bench.machine import count_cores
+from gpusim.bench.machine import Watch, find_commit
 from gpusim.bench.timing import compare_times, print_times, time_in_turns
 from gpusim.cli.main import OneLineParser
 from gpusim.cli.options import size
@@ -28,7 +25,6 @@ from gpusim.domain.errors import BadFile, GpusimError, OutOfRange
 from gpusim.io.atomic import atomic_path, check_output
 
 HERE = Path(__file__).parent
-PACKAGES = ("numpy", "scipy", "pyopencl", "warp-lang", "pocl-binary-distribution")
 FOUND = {
     "rows",
     "columns",
@@ -130,58 +126,19 @@ def start(main):
 
 def about(device, commit: str | None = None) -> dict:
     """Return device, machine, commit and date of a result."""
-    found, dirty = (commit, None) if commit else _checkout()
+    found, dirty = (commit, None) if commit else find_commit()
     return {
         "device": device.name,
-        "machine": machine(device),
+        "machine": Watch(device).facts(),
         "commit": found,
         "dirty": dirty,
         "date": datetime.datetime.now(datetime.UTC).isoformat(timespec="seconds"),
     }
 
 
-def machine(device) -> dict:
-    """Return processor, number of its cores, device hardware and driver, and relevant versions."""
-    cpu = platform.processor() or platform.machine()
-    with contextlib.suppress(OSError):
-        cpu = next(
-            (
-                line.partition(":")[2].strip()
-                for line in Path("/proc/cpuinfo").read_text().splitlines()
-                if line.startswith("model name")
-            ),
-            cpu,
-        )
-    told = identity(device)
-    versions = {}
-    for name in PACKAGES:
-        with contextlib.suppress(PackageNotFoundError):
-            versions[name] = version(name)
-    return {
-        "cpu": cpu,
-        "cores": count_cores(),
-        "device": told["device"],
-        "driver": told["driver"],
-        "python": platform.python_version(),
-        **versions,
-    }
-
-
-def _checkout():
-    """Return the commit checked out here and whether files differ; nothing without git."""
-    try:
-        said = [
-            subprocess.run(
-                ["git", *command], cwd=HERE, capture_output=True, text=True, check=True
-            ).stdout.strip()
-            for command in (
-                ("rev-parse", "--short", "HEAD"),
-                ("status", "--porcelain", "--untracked-files=no"),
-            )
-        ]
-    except (OSError, subprocess.CalledProcessError):
-        return None, None
-    return said[0], bool(said[1])
+def without_folders(text: str) -> str:
+    """Return a text in which absolute paths are only the names of their files: no result tells a user's folders."""
+    return re.sub(r"(?<![\w.])/(?:[^\s/:()'\"]+/)+", "", text)
 
 
 def save(result: dict, path):
@@ -332,7 +289,7 @@ def in_process(
     if ended.returncode == 0:
         return json.loads(ended.stdout.splitlines()[-1])
     last = (ended.stderr.strip().splitlines() or [f"status {ended.returncode}"])[-1]
-    return {"failed": last.removeprefix("gpusim.domain.errors.")}
+    return {"failed": without_folders(last.removeprefix("gpusim.domain.errors."))}
 
 
 def require_cpu(device, what: str):

@@ -13,6 +13,7 @@ import gpusim
 from gpusim.backends import Device
 from gpusim.backends.launches import BUILD_OPTIONS
 from gpusim.backends.probe import identity
+from gpusim.domain.cores import count_cores
 
 PACKAGES = {
     "numpy": "numpy",
@@ -244,11 +245,6 @@ def _bus_of(device):
     except Exception:  # pyopencl's class for an unknown question depends on the driver
         return "0"
     return f"00000000:{bus:02X}:{slot >> 3:02X}.0"
-
-
-def count_cores() -> int:
-    """Return the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def describe_compiler(device: Device, told: dict[str, Any]) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""An RGGB mosaic to RGB, by gpusim's methods and those of other libraries."""
+"""An RGGB mosaic to RGB, with the methods of gpusim and of other libraries."""
 
 from functools import partial
 from pathlib import Path
@@ -8,10 +8,10 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.bench import baseline
-from gpusim.bench.machine import count_cores
 from gpusim.bench.peer_task import Task
 from gpusim.bench.timing import find_rms
 from gpusim.data.charts import chart
+from gpusim.domain.cores import count_cores
 from gpusim.io.frame.dng import write_dng
 from gpusim.kernels.stage import public_function
 

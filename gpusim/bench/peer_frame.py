@@ -8,11 +8,11 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.bench.baseline import Baseline
-from gpusim.bench.machine import count_cores
 from gpusim.bench.peer_task import Task
 from gpusim.bench.timing import find_rms
 from gpusim.data.charts import chart
 from gpusim.domain.content import Cube
+from gpusim.domain.cores import count_cores
 from gpusim.domain.scene import Scene
 from gpusim.io.camera.cameras import open_camera
 from gpusim.pipeline.simulator import Simulator

@@ -1,4 +1,4 @@
-"""Photon noise and read noise of a frame, by gpusim and other generators."""
+"""Photon noise and read noise of a frame, from gpusim and other generators."""
 
 from functools import partial
 from importlib.util import find_spec
@@ -7,8 +7,8 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.bench import baseline
-from gpusim.bench.machine import count_cores
 from gpusim.bench.peer_task import Task
+from gpusim.domain.cores import count_cores
 from gpusim.kernels.stage import public_function
 
 LEVEL = 7.3  # [e-] at which counts are compared with the law

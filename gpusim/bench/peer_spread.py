@@ -1,4 +1,4 @@
-"""The point spread of an ideal lens over pixels, at 31 wavelengths, by gpusim and optics libraries."""
+"""The point spread of an ideal lens over pixels, at 31 wavelengths, with gpusim and optics libraries."""
 
 from collections.abc import Callable
 

@@ -1,4 +1,4 @@
-"""The forms of a task: how it is done by gpusim and by other libraries."""
+"""The forms of a task: how gpusim and other libraries do it."""
 
 from collections.abc import Callable
 from importlib.util import find_spec

@@ -1,4 +1,4 @@
-"""Whole tasks by gpusim and by what a user would take instead: `gpusim bench peers`.
+"""Whole tasks with gpusim and with what a user would take instead: `gpusim bench peers`.
 
 Every form of a task is timed in turns with the others, and has its error against a float64 truth in
 the same row. A library that is not installed has a row that says so.

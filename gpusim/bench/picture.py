@@ -1,4 +1,4 @@
-"""Pictures of comparisons and histories, by matplotlib."""
+"""Pictures of comparisons and histories, with matplotlib."""
 
 from datetime import datetime
 from pathlib import Path

@@ -15,7 +15,7 @@ from typing import Any
 
 from gpusim.backends import open_device
 from gpusim.bench.loops import time_in_process
-from gpusim.bench.machine import count_cores
+from gpusim.domain.cores import count_cores
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.progress import announced
 

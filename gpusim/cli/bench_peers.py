@@ -1,11 +1,11 @@
-"""`gpusim bench peers`: whole tasks by gpusim and by other libraries."""
+"""`gpusim bench peers`: whole tasks with gpusim and with other libraries."""
 
 from dataclasses import dataclass
 
 from gpusim.cli.options import DEVICE_HELP, Options, option, size, whole
 from gpusim.domain.errors import UnknownName
 
-TEXTS = {"help": "whole tasks by gpusim and by other libraries that are installed, with errors"}
+TEXTS = {"help": "whole tasks with gpusim and with other libraries that are installed, and errors"}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -221,7 +221,7 @@ def _open_pairs(request, simulator, photographs):
 
 def _choose_jobs(simulator, scene, count):
     """Return the number of processes for this many pairs of scenes like this one."""
-    from gpusim.apps.pairs.pairs import count_cores
+    from gpusim.domain.cores import count_cores
 
     device, cores = simulator.device, count_cores()
     if device.kind == "numpy" or count < 2 * WORTH:

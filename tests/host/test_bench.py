@@ -499,7 +499,7 @@ Uninitialized value written to local memory address 0x10000000000a0
 Uninitialized value written to local memory address 0x1000000000140
 \tKernel: columns
 
-OCLGRIND FATAL ERROR (common.cpp:917)
+OCLGRIND FATAL ERROR (/home/someone/oclgrind/src/core/common.cpp:917)
 Unsupported GEP base type: 2
 \tKernel: malvar
 """

@@ -5,7 +5,6 @@ thread computes on the device, and threads encode. Their order is the order of t
 """
 
 import json
-import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -24,6 +23,7 @@ from gpusim.apps.video.pipeline import ahead
 from gpusim.captures.capture import Capture, Light
 from gpusim.color.speed import gains_of
 from gpusim.domain.account import Account
+from gpusim.domain.cores import count_cores
 from gpusim.domain.scene import Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.io.frame.frames import named_labels
@@ -432,10 +432,3 @@ class Pairs:
         if simulator.tolerance is not None:
             record["verdict"] = account.verdict(simulator.tolerance).as_dict()
         return record
-
-
-def count_cores() -> int:
-    """Return the number of cores that this process may use."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1

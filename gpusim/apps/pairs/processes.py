@@ -18,8 +18,9 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from gpusim.apps.pairs.pairs import Pairs, count_cores
+from gpusim.apps.pairs.pairs import Pairs
 from gpusim.apps.pairs.shards import write_shard
+from gpusim.domain.cores import count_cores
 from gpusim.domain.errors import GpusimError
 
 OFTEN = 0.2  # [s] between two messages of a process

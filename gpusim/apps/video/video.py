@@ -25,6 +25,7 @@ from gpusim.captures.capture import Capture, Light
 from gpusim.domain.account import Account
 from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
+from gpusim.domain.cores import count_cores
 from gpusim.domain.errors import BadFile, Conflict, OutOfRange
 from gpusim.io.frame.frames import JPEG, RAW_ARRAY, suffix_of
 from gpusim.pipeline.exposure import Exposure
@@ -300,14 +301,6 @@ def _fetch(simulator: Simulator, values, output) -> Callable[[], np.ndarray]:
     else:
         found = device.fetch(values)
     return (lambda: np.moveaxis(found(), 0, -1)) if output == "linear" else found
-
-
-def count_cores() -> int:
-    """Return the number of processor cores that this process may use."""
-    try:
-        return len(os.sched_getaffinity(0))
-    except AttributeError:  # not on every system
-        return os.cpu_count() or 1
 
 
 def _arrived(one: Made) -> Made:
