@@ -21,16 +21,16 @@ def draw(result: dict, path):
 
 
 def _suite(result):
-    """Draw time against the largest error, and operations per second against those per byte."""
+    """Draw time against the RMS error, and operations per second against those per byte."""
     rows = [row for row in largest(result["rows"]) if row["verified"] and row["kind"] == "stage"]
     figure, (left, right) = plt.subplots(1, 2, figsize=(13, 5.5), layout="constrained")
     for row in rows:
-        error = max(row["max_error"] or 0.0, 1e-9)  # bit-exact stages are at the left edge
+        error = max(row["rel_rms_error"] or 0.0, 1e-9)  # bit-exact stages are at the left edge
         _point(left, error, row["ms_p50"], _short(row))
     left.set(
         xscale="log",
         yscale="log",
-        xlabel="largest error over the peak, against float64",
+        xlabel="relative RMS error, against float64",
         ylabel="median time [ms]",
     )
     counted = [row for row in rows if row["operations"]]
