@@ -377,6 +377,8 @@ class TwoCuda(WarpDevice):
 
     shared = None  # where OpenCL's text runs
 
+    has_driver = False  # the double has no memory and no graphs that CUDA's driver knows
+
     def _native(self, stage, kernel, defines, args, options):
         key = stage, kernel, *sorted(defines.items())
         if key not in self._natives:

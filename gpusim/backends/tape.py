@@ -152,18 +152,19 @@ class Tape:
 
     def _replace(self, others, is_each_used) -> bool:
         news = {id(old): new for old, new in others}
-        if any(id(array) in news for array in self.viewed):
+        if self.viewed and any(id(array) in news for array in self.viewed):
             return False
-        used = set()
-        users = []
-        for command in self.commands:
-            own = news.keys() & map(id, command.args)
-            if own:
-                used |= own
-                users.append(command)
+        users = [
+            command
+            for command in self.commands
+            if not news.keys().isdisjoint(map(id, command.args))
+        ]
+        used = news.keys() & {id(arg) for command in users for arg in command.args}
         if is_each_used and len(used) < len(news):
             return False
-        if any(id(old) in used and news[id(old)] is not new for old, new in others):
+        if len(others) > len(news) and any(
+            id(old) in used and news[id(old)] is not new for old, new in others
+        ):
             return False  # two for one
         for command in users:
             command.set(tuple([news.get(id(arg), arg) for arg in command.args]))
@@ -385,6 +386,10 @@ class Taped(Device):
             command = tape.again(request, Copy, self, target, source, *places)
             command.set((target, source))
             tape.start(command)
+
+    def gather(self, commands: list) -> list:
+        """Return what starts these commands again and again at less cost, for `start`."""
+        return commands
 
     @refusable(of_commands)
     def start(self, commands):

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from gpusim.backends.caches import has_room, keep_sound, lent_folder, note, remove
+from gpusim.backends.cuda_driver import call_driver, cuda_driver, ordinal_of
+from gpusim.backends.graphs import gather_kernels
 from gpusim.backends.native import native_kernel
 from gpusim.backends.refusal import of_shape, of_values, refusable
 from gpusim.backends.tape import Taped
@@ -22,7 +24,6 @@ from gpusim.backends.warp_arrays import (
     Command,
     array_class,
     mark_in,
-    ordinal_of,
     wait_for,
 )
 from gpusim.domain.errors import BadData, DeviceError
@@ -88,6 +89,7 @@ class WarpDevice(Taped):
         self.array_type = wp.array
         self._as_shown = array_class(wp).of
         self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # parallel to kernels
+        self.capturing = wp.Stream(self.wp_device) if self.is_gpu else None  # for graphs alone
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._modules: dict = {}  # modules of the stages
         self._natives: dict = {}  # kernels from OpenCL text
@@ -234,14 +236,21 @@ class WarpDevice(Taped):
             copied = np.array(array.numpy())
             return lambda: copied
         wp, free = self._wp, self._landings[array.shape, array.dtype]
-        values = free.pop() if free else self._pinned(array.shape, array.dtype)
-        wp.copy(values, array)
-        event = mark_in(self.wp_device.stream)
+        landing = free.pop() if free else self._pinned(array.shape, array.dtype)
+        stream = self.wp_device.stream
+        with self.wp_device.context_guard:
+            if not (self.has_driver and array.is_contiguous):
+                wp.copy(landing, array)
+            else:  # with less host work than `wp.copy`
+                given = landing.ptr, array.ptr, array.capacity, stream.cuda_stream
+                call_driver("cuMemcpyDtoHAsync_v2", *given)
+            event = stream.record_event()
 
         def finish_fetch():
             wp.synchronize_event(event)
-            free.append(values)
-            return np.array(values.numpy())
+            values = np.array(landing.numpy())
+            free.append(landing)
+            return values
 
         return finish_fetch
 
@@ -292,6 +301,19 @@ class WarpDevice(Taped):
             entry, dim=grid, inputs=args, device=self.wp_device, record_cmd=True, **options
         )
         return Command(self, self._clock.charged or stage, kernel, launch, args)
+
+    def gather(self, commands):
+        return gather_kernels(self, commands) if self.has_driver else super().gather(commands)
+
+    @property
+    def has_driver(self) -> bool:
+        """Whether functions of CUDA's driver can be called."""
+        return self.is_gpu and cuda_driver() is not None
+
+    @property
+    def is_timed(self) -> bool:
+        """Whether a block is timed."""
+        return self._clock.times is not None
 
     def _timed(self, stage, start):
         """Start something on the device, and time it if a block is timed."""

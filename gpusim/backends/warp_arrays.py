@@ -2,13 +2,10 @@
 
 import ctypes
 import functools
-import os
 
 import numpy as np
 
 from gpusim.backends.device import Transfer
-
-OWNER = 9  # CU_POINTER_ATTRIBUTE_DEVICE_ORDINAL of CUDA's driver
 
 
 @functools.cache
@@ -82,22 +79,14 @@ def wait_for(event, stream):
         stream.wait_event(event)
 
 
-def ordinal_of(address: int) -> int | None:
-    """Return the number of the CUDA device of this memory; None if it is unknown."""
-    try:
-        driver = ctypes.CDLL("nvcuda.dll" if os.name == "nt" else "libcuda.so.1")
-    except OSError:
-        return None
-    number = ctypes.c_int(-1)
-    failure = driver.cuPointerGetAttribute(ctypes.byref(number), OWNER, ctypes.c_uint64(address))
-    return None if failure else number.value
-
-
 class Command:
-    """A launch with packed arguments. stage: stage that is charged. name: name of the kernel."""
+    """A launch with packed arguments.
+
+    stage: stage that is charged. name: name of the kernel. changes: how often its arguments were changed.
+    """
 
     def __init__(self, device, stage, name, launch, args):
-        self.device, self.stage, self.name = device, stage, name
+        self.device, self.stage, self.name, self.changes = device, stage, name, 0
         self.launch, self.args = launch, args
         for index in range(len(args)):
             self._own(index + 1)
@@ -116,6 +105,7 @@ class Command:
             old, new = self.args[index], args[index]
             if new is old or (isinstance(new, int | float | np.number) and new == old):
                 continue
+            self.changes += 1
             packed = self.launch.params[index + 1]
             if isinstance(new, int | float | np.number):
                 packed.value = new

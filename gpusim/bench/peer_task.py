@@ -20,6 +20,8 @@ PACKAGES = {
 }
 Form = tuple[Callable[[], Any], str]  # does the task and waits; its error in words
 
+TURN_MS = 50.0  # of a form in a round, at least one call
+
 
 class Task:
     """The forms of a task.
@@ -64,6 +66,6 @@ class Task:
             Rows with name, times [ms], ratios to the base, and error in words.
         """
         base = f"{self.name}: {self.base}"
-        times = time_in_turns(self._forms, repeat)
+        times = time_in_turns(self._forms, repeat, warm=2, turn_ms=TURN_MS)
         bases = {name: base for name in times if name != base}
         return compare_times(times, bases, self._errors) + self._missing

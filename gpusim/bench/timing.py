@@ -36,9 +36,9 @@ def find_rms(values: ArrayLike, truth: ArrayLike) -> float:
 
 
 def time_in_turns(
-    forms: dict[str, Callable[[], Any]], repeat: int, warm: int = 1
+    forms: dict[str, Callable[[], Any]], repeat: int, warm: int = 1, turn_ms: float = 0.0
 ) -> dict[str, np.ndarray]:
-    """Return milliseconds of each form in every round, name -> array (repeat,).
+    """Return milliseconds of one call of each form in every round, name -> array (repeat,).
 
     Rounds alternate between all forms, so that other work on the machine affects all of them.
 
@@ -46,14 +46,21 @@ def time_in_turns(
         forms: Name -> function that does the work and waits.
         repeat: Rounds.
         warm: Rounds before them that are not counted.
+        turn_ms: A turn lasts about as long [ms], by further calls of a form that is faster; a processor and a GPU are
+            not at their full clock just after something else. 0: each turn is one call.
     """
     times: dict[str, list[float]] = {name: [] for name in forms}
+    calls = dict.fromkeys(forms, 1)
     for number in range(-warm, repeat):
         for name, run in forms.items():
             begin = time.perf_counter()
-            run()
+            for _ in range(calls[name]):
+                run()
+            taken = 1e3 * (time.perf_counter() - begin) / calls[name]
             if number >= 0:
-                times[name].append(1e3 * (time.perf_counter() - begin))
+                times[name].append(taken)
+            else:
+                calls[name] = max(1, round(turn_ms / max(taken, 1e-3)))
     return {name: np.array(taken) for name, taken in times.items()}
 
 

@@ -108,7 +108,7 @@ class _Check:
     """Statistics of a scene, on their way from the device to the host.
 
     light, survey: functions that wait for the numbers of `sensor.meter` and `spectral.survey`, or None. pixels:
-    number of metered pixels. seconds: exposure time [s].
+    number of metered pixels. seconds: exposure time [s]. is_metered: whether the light sets the next exposure.
     """
 
     scene: Scene
@@ -117,6 +117,7 @@ class _Check:
     survey: Any
     pixels: int
     seconds: float
+    is_metered: bool
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -193,7 +194,7 @@ class Loop:
         exposure_time: Exposure time [s]; None uses the camera's, see `Simulator.expose`.
         gain: Analog gain, next to the sensor's [1].
         meters_late: Expose each frame as metered in the frame before, like a video camera. Then nothing waits for the
-            device.
+            device. The first frame, and one after a frame with a given exposure time, is metered itself.
         before: Plan and optical results shared with other loops. Their simulators have the same tolerance, and
             their cameras need the same plan. Sharing loops may make outputs, but no frames.
         plan: Plan for every frame, instead of one for the scene. It is never replaced. Its errors are predicted for
@@ -223,7 +224,6 @@ class Loop:
         self._exposure_time, self._gain = checked_time(exposure_time), checked_gain(gain)
         self._brightness = 1.0
         self.before = SharedOptics(simulator.device) if before is None else before
-        self._light = "metered light" if meters_late else "light"  # value with its statistics
         self.cache = self.before.cache if before is None else Cache(simulator.device)
         self.values = Values(
             {
@@ -481,6 +481,17 @@ class Loop:
         wall = 1e3 * (time.perf_counter() - start)
         return dataclasses.replace(exposure, ms=dict(ms), wall_ms=wall)
 
+    @property
+    def _sets_next(self) -> bool:
+        """Whether the light of the scene sets the exposure of the next one."""
+        seconds = self._exposure_time, self.simulator.camera.sensor.exposure_time
+        return self.meters_late and seconds == (None, None)
+
+    @property
+    def _light(self) -> str:
+        """Name of the value with the statistics of the scene's light."""
+        return "metered light" if self._sets_next else "light"
+
     def _use(self, name, make, *args):
         """Replace the list of steps of this name by `make(*args)` if an argument is another object."""
         if name not in self._steps or not all(map(is_, self._made_of[name], args)):
@@ -494,11 +505,7 @@ class Loop:
             The exposure, see `exposure`.
         """
         settings = self.simulator, self._exposure_time, self._gain, self._brightness
-        automatic = (
-            self._exposure_time is None and self.simulator.camera.sensor.exposure_time is None
-        )
-        # for this frame
-        is_metered = not (self.meters_late and automatic) or self._frame_exposure is not None
+        is_metered = not self._sets_next or self._frame_exposure is not None  # for this frame
         if self._last is not None and self._pending is None and is_metered and self.before.plan:
             exposure, *made_for = self._last
             now = self.before.plan[0], self.scene, *settings
@@ -520,7 +527,7 @@ class Loop:
         self._use("pictures", picture_steps, simulator, camera)
         operation = seconds, gain, True, self._brightness
         exposure = expose_values(values, simulator, plan, camera, *operation)
-        if plan.scene is not scene or self.meters_late:
+        if plan.scene is not scene or self._sets_next:
             self._start_check(plan, exposure.mean, seconds)
         self._last = exposure, plan, scene, *settings
         return exposure
@@ -568,6 +575,7 @@ class Loop:
         simulator, seconds = self.simulator, self._exposure_time
         seconds = simulator.camera.sensor.exposure_time if seconds is None else seconds
         if seconds is not None:
+            self._metered = None
             return float(seconds), float(self._gain)
         if self._frame_exposure is not None:
             # also for a repeated frame: its own light sets the next one
@@ -585,11 +593,12 @@ class Loop:
         """Start the statistics of a scene that the plan was not made for; they are read before the next frame."""
         values = self.values
         entries = self.before.cache.with_versions(values["entries"])
-        checked = entries, self.before.cache.with_versions(mean) if self.meters_late else None
+        checked = entries, self.before.cache.with_versions(mean) if self._sets_next else None
         if self.before.checked[:1] == (plan,) and same(self.before.checked[1], checked):
             return
         self.before.checked = plan, checked
-        names = [self._light, "survey"] if plan.find(Watch) else [self._light]
+        light = self._light
+        names = [light, "survey"] if plan.find(Watch) else [light]
         self._pending = self._fetch_check(plan, {name: values[name] for name in names}, seconds)
 
     def _fetch_check(self, plan, measured, seconds) -> _Check:
@@ -600,7 +609,7 @@ class Loop:
             found = device.fetch(measured["survey"])
         sensor = self.simulator.camera.sensor
         pixels = prod(plan.scene.shape) * (len(sensor.channels) if sensor.stacked else 1)
-        return _Check(self.scene, plan, light, found, pixels, seconds)
+        return _Check(self.scene, plan, light, found, pixels, seconds, self._sets_next)
 
     def judge(self) -> None:
         """Wait for the statistics of the last scene, and drop the plan if it does not fit.
@@ -620,7 +629,7 @@ class Loop:
             raise BadData(
                 f"{check.scene.name}: {light[4]:.0f} of {check.pixels} pixels have NaN or infinite light"
             )
-        if self.meters_late and light[0] > 0:
+        if check.is_metered and light[0] > 0:
             sensor, readout = self.simulator.camera.sensor, self.simulator.readout
             asked = light, check.pixels, check.seconds
             # called if the next exposure is automatic
@@ -669,7 +678,7 @@ class Loop:
             repeat is not None
             and repeat.output == name
             and self._repeated is self.scene
-            and repeat.is_current
+            and repeat.is_alone
         ):
             numbers = {"seed": seed, "frame": first}
             if drawn != numbers:
@@ -710,7 +719,7 @@ class Loop:
         if not (
             (is_done or is_begun or self._begin_again(repeat, plan))
             and self._plan_still_valid()
-            and repeat.is_current
+            and repeat.is_alone
         ):
             return None
         if not is_done:
@@ -747,7 +756,7 @@ class Loop:
     def _needs_check(self, plan):
         """Return True if the statistics of the scene are needed: views of one content have the same survey."""
         is_new = plan.scene is not self.scene and self.scene.content is not self._checked
-        return is_new or self.meters_late
+        return is_new or self._sets_next
 
     def _note_output(self, name, exposure):
         """Collect the commands of an output after several in a row with the same settings."""

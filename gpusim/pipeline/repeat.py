@@ -96,6 +96,7 @@ class Repeat:
             for one in ones(values.cache_of(step).with_versions((self._known[step.output],)))
         }
         self._takers = [tape for _, tape in self._tapes if not tape.used.isdisjoint(passed)]
+        self._of_frame = [tape for name, tape in self._tapes if name in by_frame]
         self._caches = list(dict.fromkeys(cache for cache, _ in self._rewritten))
         self._commands: dict[tuple, list] = {}  # by the names of their results
         self._to_expose: set[str] = set()  # values of scenes that were begun
@@ -107,25 +108,28 @@ class Repeat:
     @property
     def is_current(self) -> bool:
         """Whether nothing else has used the arrays since."""
-        return (
-            self._version == self._values.version
-            and all(self._values.owns(cache) for cache in self._caches)
-            and all(one.version == version_of(one.value) for one in self._inputs)
-        )
+        return self.is_alone and all([one.version == version_of(one.value) for one in self._inputs])
+
+    @property
+    def is_alone(self) -> bool:
+        """Whether nothing else has used the arrays that commands rewrite."""
+        values = self._values
+        return self._version == values.version and all(map(values.owns, self._caches))
 
     def begin(self, device: Device, scene: Mapping[str, Any]) -> bool:
         """Make the first value for other values of SCENE; False if the commands cannot serve them."""
         self._expire()
-        changed = {name: value for name, value in scene.items() if value is not self._known[name]}
-        touched = set().union(*(self._users[name] for name in changed))
+        known = self._known
+        changed = {name: value for name, value in scene.items() if value is not known[name]}
+        touched = set().union(*[self._users[name] for name in changed])
         self._to_expose |= touched
         self._to_draw |= touched
         passed = []
         for step in self._host:
-            if not any(name in changed for name in step.inputs):
+            if changed.keys().isdisjoint(step.inputs):
                 continue
-            inputs = [changed.get(name, self._known.get(name)) for name in step.inputs]
-            old, new = self._known[step.output], step.run(*inputs, **step.constants)  # type: ignore[misc]
+            inputs = [changed.get(name, known.get(name)) for name in step.inputs]
+            old, new = known[step.output], step.run(*inputs, **step.constants)  # type: ignore[misc]
             cache = self._values.cache_of(step)
             keys = cache.with_versions((old,)), cache.with_versions((new,))
             if compare(*keys) == OTHER:
@@ -155,9 +159,8 @@ class Repeat:
     def draw(self, device: Device, numbers: Mapping[str, int]) -> None:
         """Make the last value for the numbers of a frame."""
         self._expire()
-        for name, tape in self._tapes:
-            if name in self._by_frame:
-                tape.renumber(numbers)
+        for tape in self._of_frame:
+            tape.renumber(numbers)
         changed = self._to_draw | self._by_frame
         self._start(device, [name for name in self._draws if name in changed])
         self._to_draw = set()
@@ -167,7 +170,8 @@ class Repeat:
         names = tuple(names)
         if names not in self._commands:
             tapes = dict(self._tapes)
-            self._commands[names] = [each for name in names for each in tapes[name].commands]
+            commands = [each for name in names for each in tapes[name].commands]
+            self._commands[names] = device.gather(commands)
         if not self._commands[names]:
             return
         try:

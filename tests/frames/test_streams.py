@@ -10,6 +10,7 @@ import pytest
 from devices import ALL_KINDS
 
 import gpusim as gs
+from gpusim.backends.buffers import Command
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.optics.highlights import Highlights
 
@@ -67,6 +68,34 @@ def test_metered_in_the_frame_before(device):
             # a number at most at 1023, and below 1e-3 photons at 5000: both cross a step in less than 1 % of the pixels
             assert np.count_nonzero(np.abs(frame - fresh) > 1) == 0
             assert np.count_nonzero(frame != fresh) < 0.01 * fresh.size
+
+
+@pytest.mark.parametrize("device", ALL_KINDS)
+def test_a_frame_after_one_with_a_given_time_is_metered_itself(device):
+    simulator, scenes = gs.Simulator(CAMERA, device=device), cubes(4)
+    loop = simulator.loop(scenes[0], meters_late=True)
+    own = [simulator.expose(scene).exposure_time for scene in scenes]
+    assert loop.exposure.exposure_time == own[0]
+    assert loop.update(scene=scenes[1], exposure_time=0.01).exposure.exposure_time == 0.01
+    metered = loop.update(scene=scenes[2], exposure_time=None).exposure.exposure_time
+    # metered from electrons in place of electrons a second: three roundings of 2^-24
+    assert metered == pytest.approx(own[2], rel=4 * 2.0**-24)
+    following = loop.update(scene=scenes[3]).exposure.exposure_time
+    assert following == pytest.approx(own[2], rel=4 * 2.0**-24)
+
+
+@pytest.mark.parametrize("seconds", [0.01, None])
+def test_only_automatic_exposure_looks_for_quantiles_of_the_light(seconds, monkeypatch):
+    names, start = set(), Command.start
+
+    def started(self):
+        names.add(self.name)
+        start(self)
+
+    monkeypatch.setattr(Command, "start", started)
+    simulator = gs.Simulator(CAMERA, device="opencl")
+    list(simulator.stream(cubes(3), "raw", exposure_time=seconds))
+    assert ("tally" in names) == (seconds is None)
 
 
 @pytest.mark.parametrize("device", ALL_KINDS)

@@ -5,6 +5,7 @@ import os
 import runpy
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -348,6 +349,18 @@ def test_rounds_alternate_and_leave_the_warm_ones_out():
         "a": 2,
         "b": 2,
     }
+
+
+def test_a_turn_of_a_fast_form_has_many_calls_and_gives_the_time_of_one():
+    calls = []
+
+    def sleep():
+        calls.append(time.sleep(0.002))
+
+    times = timing.time_in_turns({"a": sleep, "b": lambda: time.sleep(0.03)}, 2, turn_ms=20.0)
+    # each sleep takes at least as long as asked: at most 10 calls in a turn, and one in the warm round
+    assert 3 <= len(calls) <= 1 + 2 * 10
+    assert np.all(times["a"] >= 2.0) and np.all(times["b"] >= 30.0)
 
 
 @pytest.fixture
