@@ -4,6 +4,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from math import prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -140,8 +141,8 @@ def _upload_scenes(
     earlier: _Upload | None = None
     end: Exception | None = None
     number = 0
-    # with several devices each has a thread that sends; all share threads that copy to pinned memory
-    pools = [ThreadPoolExecutor(1) if len(devices) > 1 else None for _ in devices]
+    # each device has a thread that sends what must be copied first; all share threads that copy to pinned memory
+    pools = [ThreadPoolExecutor(1) for _ in devices]
     copiers = ThreadPoolExecutor(COPIERS)
     try:
         while True:
@@ -168,15 +169,15 @@ def _upload_scenes(
                 with suppress(GpusimError):  # raised by `scene`
                     one.wait()
         for pool in (*pools, copiers):
-            if pool is not None:
-                pool.shutdown()
+            pool.shutdown()
 
 
 class _Upload:
     """A scene on its way to a device.
 
     slot: memory that it overwrites, by name: device arrays, which nothing that is launched from now on reads, and
-    pinned memory. pool: a thread that sends; None: this one. copiers: threads that copy to pinned memory.
+    pinned memory. pool: a thread that sends large samples that are not pinned. copiers: threads that copy to pinned
+    memory.
     """
 
     def __init__(
@@ -184,7 +185,7 @@ class _Upload:
         device: Device,
         scene: Scene,
         slot: dict,
-        pool: ThreadPoolExecutor | None,
+        pool: ThreadPoolExecutor,
         copiers: ThreadPoolExecutor,
     ):
         self._scene, content = scene, scene.content
@@ -197,7 +198,7 @@ class _Upload:
         # behind the mark the arrays of the slot may be written to
         asked = device, content, coming, slot, device.mark() if coming else None, copiers
         self._transfers: Callable[[], dict]
-        if pool is None or not coming:
+        if not any(_is_staged(content, name, values) for name, values in coming.items()):
             transfers = _send(*asked)
             self._transfers = lambda: transfers
         else:
@@ -224,7 +225,7 @@ def _send(device, content, samples: dict, slot: dict, mark, copiers) -> dict:
         target, staged, last = slot.get((name, kind)) or (None, None, None)
         if last is not None and tuple(last.array.shape) != values.shape:
             target = staged = None
-        if isinstance(values, Pinned) or values.size * kind.itemsize < STAGED:
+        if not _is_staged(content, name, values):
             values = np.ascontiguousarray(values, kind)
         else:
             if last is not None:
@@ -235,6 +236,12 @@ def _send(device, content, samples: dict, slot: dict, mark, copiers) -> dict:
         transfers[name] = device.send(values, target, mark)
         slot[name, kind] = transfers[name].array, staged, transfers[name]
     return transfers
+
+
+def _is_staged(content, name, values) -> bool:
+    """Return True if samples are copied to pinned memory before they are sent."""
+    nbytes = prod(values.shape) * content.stored_type(name).itemsize
+    return not isinstance(values, Pinned) and nbytes >= STAGED
 
 
 def _copy(target: np.ndarray, values: np.ndarray, copiers: ThreadPoolExecutor):

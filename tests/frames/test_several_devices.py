@@ -488,7 +488,8 @@ def test_arrays_may_be_rewritten_three_scenes_later():
 
 
 def test_uploads_to_two_devices_run_at_the_same_time(monkeypatch):
-    """Each device has a thread that sends: the first two scenes meet there."""
+    """Each device has a thread that sends large samples: the first two scenes meet there."""
+    monkeypatch.setattr("gpusim.pipeline.stream.STAGED", 0)
     threads = threading.active_count()
     simulator, meet, begun = gs.Simulator(CAMERA, device=pair_of_gpus()), threading.Barrier(2), []
     send = OpenCLDevice.send
