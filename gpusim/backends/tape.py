@@ -154,12 +154,12 @@ class Tape:
         news = {id(old): new for old, new in others}
         if self.viewed and any(id(array) in news for array in self.viewed):
             return False
-        users = [
-            command
-            for command in self.commands
-            if not news.keys().isdisjoint(map(id, command.args))
-        ]
-        used = news.keys() & {id(arg) for command in users for arg in command.args}
+        users, used = [], set()
+        for command in self.commands:
+            own = [place for place in map(id, command.args) if place in news]
+            if own:
+                used.update(own)
+                users.append(command)
         if is_each_used and len(used) < len(news):
             return False
         if len(others) > len(news) and any(

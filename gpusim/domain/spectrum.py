@@ -1,5 +1,6 @@
 """Tabulated functions of wavelength."""
 
+import functools
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -146,17 +147,25 @@ def check_wavelengths(wavelengths, label: str, least: int = 1):
             f"{label}: needs at least {least} wavelength{'s' if least > 1 else ''}, got shape "
             f"{wavelengths.shape}"
         )
+    fault = _fault_of(wavelengths.tobytes(), wavelengths.dtype.str)
+    if fault:
+        raise BadData(f"{label}: {fault}")
+
+
+@functools.lru_cache(maxsize=256)  # scenes of a stream have the same
+def _fault_of(values: bytes, kind: str) -> str:
+    """Return what is wrong with wavelengths, or ""."""
+    wavelengths = np.frombuffer(values, kind)
     if not np.isfinite(wavelengths).all():
-        raise BadData(f"{label}: NaN or infinite entries")
+        return "NaN or infinite entries"
     if not (wavelengths[0] >= SHORTEST and wavelengths[-1] <= LONGEST):
-        raise BadData(
-            f"{label}: wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm, allowed are "
+        return (
+            f"wavelengths {wavelengths[0]:g} .. {wavelengths[-1]:g} nm, allowed are "
             f"{SHORTEST:g} .. {LONGEST:g} nm"
         )
     if not (np.diff(wavelengths) > 0).all():
-        raise BadData(
-            f"{label}: wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]"
-        )
+        return f"wavelengths must increase strictly, got {wavelengths[:4]} ... [nm]"
+    return ""
 
 
 def seen_band(wavelengths) -> tuple[float, float]:
