@@ -365,7 +365,6 @@ TABLES = {
     "field": _peers,
     "fusion": _peers,
     "transforms": _peers,
-    "picture": _peers,
     "triples": _triples,
     "tolerances": _tolerances,
     "demosaic": _cells,

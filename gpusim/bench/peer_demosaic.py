@@ -32,7 +32,7 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
         size: Columns and rows [pixel].
     """
     task = Task("demosaic", "NumPy, bilinear")
-    raw, (small, truth) = _mosaic(size)[0], _mosaic(ERROR_SIZE)
+    raw, (small, truth) = make_mosaic(size)[0], make_mosaic(ERROR_SIZE)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
     options = {"phase": "RGGB", "black_level": 0.0, "scale": 1 / WHITE}
     references = {
@@ -101,8 +101,16 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
     return task
 
 
-def _mosaic(size):
-    """Return a mosaic (rows, cols) uint16 and its original picture (rows, cols, 3), 1 = white."""
+def make_mosaic(size: tuple[int, int], white: int = WHITE) -> tuple[np.ndarray, np.ndarray]:
+    """Return an RGGB mosaic of a blurred chart and the picture.
+
+    Args:
+        size: Columns and rows [pixel].
+        white: Number of the lightest value.
+
+    Returns:
+        The mosaic (rows, cols), uint16, and the picture (rows, cols, 3), 1 = white.
+    """
     from scipy.ndimage import gaussian_filter
 
     content = chart("deadleaves", size=size, wavelengths=[450.0, 540.0, 610.0]).content
@@ -111,7 +119,7 @@ def _mosaic(size):
     raw = np.empty(picture.shape[:2])
     for (dy, dx), channel in np.ndenumerate([[0, 1], [1, 2]]):
         raw[dy::2, dx::2] = picture[dy::2, dx::2, channel]
-    return np.rint(WHITE * raw).astype(np.uint16), picture
+    return np.rint(white * raw).astype(np.uint16), picture
 
 
 def _opencv(code, raw):

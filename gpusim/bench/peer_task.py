@@ -10,6 +10,7 @@ from gpusim.bench.timing import compare_times, time_in_turns
 PACKAGES = {
     "cv2": "opencv-python-headless",
     "colour_demosaicing": "colour-demosaicing",
+    "halide": "halide",
     "rawpy": "rawpy",
     "torch": "torch",
     "ducc0": "ducc0",

@@ -11,12 +11,13 @@ from gpusim.backends import Device
 from gpusim.bench.peer_demosaic import make_demosaic
 from gpusim.bench.peer_frame import make_frame
 from gpusim.bench.peer_noise import make_noise
+from gpusim.bench.peer_picture import make_picture
 from gpusim.bench.peer_spread import make_spread
 from gpusim.bench.peer_task import Task
 from gpusim.domain.errors import UnknownName
 from gpusim.domain.progress import announced
 
-TASKS = ("frame", "demosaic", "spread", "noise")
+TASKS = ("frame", "demosaic", "picture", "spread", "noise")
 
 
 def make_task(
@@ -37,6 +38,8 @@ def make_task(
         return make_frame(device, size, tolerance)
     if name == "demosaic":
         return make_demosaic(device, size)
+    if name == "picture":
+        return make_picture(device, size)
     if name == "spread":
         return make_spread(device)
     if name == "noise":

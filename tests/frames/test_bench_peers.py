@@ -60,6 +60,11 @@ def test_gpusims_forms_are_within_their_words():
     device = open_device("opencl")
     rows = {row["name"]: row for row in make_spread(device, BANDS[::15]).time(1)}
     assert float(rows["spread: gpusim"]["error"].split()[1]) < 1e-6
+    rows = {row["name"]: row for row in time_peers(device, ["picture"], (64, 48), None, 1)}
+    # codes are rounded exactly, but for float32 sums within 1e-6 of a code's limit: one in a thousand at most
+    assert float(rows["picture: gpusim, bilinear"]["error"].split()[1]) < 0.001**0.5
+    # numbers of 10 bit are rounded before the curve, whose steepest step is 3.2 codes a number: half of it at most
+    assert 0 < float(rows["picture: NumPy"]["error"].split()[1]) < 1.6 + 0.5
     rows = {row["name"]: row for row in time_peers(device, ["noise"], (320, 240), None, 1)}
     for name in ("noise: NumPy", "noise: gpusim, fast", "noise: gpusim, exact"):
         assert float(rows[name]["error"].split()[3].rstrip(")")) > 0  # p to two places: above 0.005
