@@ -194,8 +194,24 @@ class Block:
         self.free.keep(self.nbytes, (self.buffer, self.host))
 
 
+def kinds_of(args) -> list:
+    """Return the types of a kernel's arguments: of numbers, and None for arrays."""
+    return [
+        np.int32
+        if isinstance(arg, int | np.integer)
+        else np.float32
+        if isinstance(arg, float | np.floating)
+        else None
+        for arg in args
+    ]
+
+
+def _value_of(arg):
+    return arg.buffer if isinstance(arg, OpenCLArray) else arg
+
+
 class Command:
-    """A separate kernel object with its arguments.
+    """A separate kernel object with its arguments, whose types it knows.
 
     stage: stage that is charged. name: name of the kernel. spare: list to which the kernel finally
     returns. words: names the work of the first start, such as "compiling sensor.noise"; "" if it compiles nothing.
@@ -209,28 +225,26 @@ class Command:
             for size, block, offset in pieces
         ]
         self.enqueue = device._cl.enqueue_nd_range_kernel
-        for index, value in enumerate(args):
-            self._set(index, value)
+        kernel.set_args(*map(_value_of, args))
 
     def __del__(self):
         self.spare.append(self.kernel)
 
-    def _set(self, index, value):
-        if isinstance(value, OpenCLArray):
-            value = value.buffer
-        elif isinstance(value, int | np.integer):
-            value = np.int32(value)
-        else:
-            value = np.float32(value)
-        self.kernel.set_arg(index, value)
-
     def set(self, args, first=0):
         """Set other arguments; those before `first` are the same."""
+        arrays, has_numbers = [], False
         for index in range(first, len(args)):
             old, new = self.args[index], args[index]
-            if new is old or (not isinstance(new, OpenCLArray) and new == old):
-                continue
-            self._set(index, new)
+            if isinstance(new, OpenCLArray):
+                if new is not old:
+                    arrays.append(index)
+            elif new != old:
+                has_numbers = True
+        if has_numbers:  # all at once: one number alone takes longer
+            self.kernel.set_args(*map(_value_of, args))
+        else:
+            for index in arrays:
+                self.kernel.set_arg(index, args[index].buffer)
         self.args = args
 
     def release(self):

@@ -9,7 +9,15 @@ from math import prod
 
 import numpy as np
 
-from gpusim.backends.buffers import VECTOR, Arriving, Block, Command, FreeMemory, OpenCLArray
+from gpusim.backends.buffers import (
+    VECTOR,
+    Arriving,
+    Block,
+    Command,
+    FreeMemory,
+    OpenCLArray,
+    kinds_of,
+)
 from gpusim.backends.caches import pocl_folder
 from gpusim.backends.driver import finish, is_gpu, pyopencl
 from gpusim.backends.launches import BUILD_OPTIONS, program_head, split_grid, stage_source
@@ -263,7 +271,7 @@ class OpenCLDevice(Taped):
             entry = spare.pop()  # making one takes 0.2 ms
         except IndexError:
             with self._lock:
-                entry = self._entry(stage, self._program(stage, defines), kernel)
+                entry = self._entry(stage, self._program(stage, defines), kernel, args)
         pieces = split_grid(tuple(grid), group, self.is_gpu)
         words = self._first_words(stage, kernel, defines, pieces)
         charged = self._clock.charged or stage
@@ -292,22 +300,15 @@ class OpenCLDevice(Taped):
         key = (stage, kernel, *sorted(defines.items()))
         if key not in self._kernels:
             program = self._program(stage, defines)
-            kinds = [
-                np.int32
-                if isinstance(arg, int | np.integer)
-                else np.float32
-                if isinstance(arg, float | np.floating)
-                else None
-                for arg in args
-            ]
-            self._kernels[key] = entry = self._entry(stage, program, kernel)
-            # typed once, a launch costs microseconds instead of hundreds of them
-            entry.set_scalar_arg_dtypes(kinds)
+            self._kernels[key] = self._entry(stage, program, kernel, args)
         return self._kernels[key]
 
-    def _entry(self, stage, program, kernel):
+    def _entry(self, stage, program, kernel, args):
         try:
-            return self._cl.Kernel(program, kernel)
+            entry = self._cl.Kernel(program, kernel)
+            # typed once, a launch costs microseconds instead of hundreds of them
+            entry.set_arg_types(kinds_of(args))
+            return entry
         except self._cl.Error as error:
             raise DeviceError(
                 f"{self.name} ({self.cl_device.name}): cannot load {kernel} of {stage}: {error}; remove "
