@@ -21,7 +21,7 @@ __kernel void begin(
 
 // One place in EACH channels per work-item, all points of the pupil; gathers from a neighbourhood. SHEETS and BENDS come
 // from the host and unroll the loops. MAPS: whether the layers' light is displaced; SLOPES: whether displacements and
-// radii change from place to place.
+// radii change from place to place. TOGETHER points have a sum of their own, to keep sums short.
 __kernel void occlude(
     // in:
     __global const float *restrict base,    // [channels][rows][cols]
@@ -74,57 +74,74 @@ __kernel void occlude(
     float exact[EACH], whole = 0.0f;
 #pragma unroll
     for (int n = 0; n < EACH; ++n) exact[n] = 0.0f;
-    for (int m = 0; m < points_; ++m) {
-        const float v = points[3 * m], u = points[3 * m + 1], share = points[3 * m + 2];
-        float through = 1.0f, down = 0.0f, across = 0.0f, spread = 1.0f;
-        float yy = 0.0f, yx = 0.0f, xy = 0.0f, xx = 0.0f; // derivatives of the displacement, of rows along columns: yx
+    for (int first = 0; first < points_; first += TOGETHER) {
+        float some_light[SHEETS * EACH], some_alpha[SHEETS], some[EACH], some_whole = 0.0f;
 #pragma unroll
-        for (int k = 0; k < BENDS; ++k) {
-            down += bent[k] * bends[2 * (k * points_ + m)];
-            across += bent[k] * bends[2 * (k * points_ + m) + 1];
-            if (SLOPES) {
-                yy += slope_y[k] * bends[2 * (k * points_ + m)];
-                yx += slope_x[k] * bends[2 * (k * points_ + m)];
-                xy += slope_y[k] * bends[2 * (k * points_ + m) + 1];
-                xx += slope_x[k] * bends[2 * (k * points_ + m) + 1];
+        for (int k = 0; k < SHEETS * EACH; ++k) some_light[k] = 0.0f;
+#pragma unroll
+        for (int s = 0; s < SHEETS; ++s) some_alpha[s] = 0.0f;
+#pragma unroll
+        for (int n = 0; n < EACH; ++n) some[n] = 0.0f;
+        for (int m = first; m < min(first + TOGETHER, points_); ++m) {
+            const float v = points[3 * m], u = points[3 * m + 1], share = points[3 * m + 2];
+            float through = 1.0f, down = 0.0f, across = 0.0f, spread = 1.0f;
+            // derivatives of the displacement, of rows along columns: yx
+            float yy = 0.0f, yx = 0.0f, xy = 0.0f, xx = 0.0f;
+#pragma unroll
+            for (int k = 0; k < BENDS; ++k) {
+                down += bent[k] * bends[2 * (k * points_ + m)];
+                across += bent[k] * bends[2 * (k * points_ + m) + 1];
+                if (SLOPES) {
+                    yy += slope_y[k] * bends[2 * (k * points_ + m)];
+                    yx += slope_x[k] * bends[2 * (k * points_ + m)];
+                    xy += slope_y[k] * bends[2 * (k * points_ + m) + 1];
+                    xx += slope_x[k] * bends[2 * (k * points_ + m) + 1];
+                }
+            }
+            if (SLOPES) spread = 1.0f / ((1.0f - yy) * (1.0f - xx) - yx * xy);
+            some_whole += share * spread;
+#pragma unroll
+            for (int s = 0; s < SHEETS; ++s) {
+                if (there[s] == 0.0f) continue;
+                float seen_y = BENDS ? radius[s] * v + down : radius[s] * v;
+                float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
+                float flux = there[s] * spread;
+                if (SLOPES) {  // the place x + t that is seen has the displacement: t = d + d' t
+                    const float tilt_y = slope_y[BENDS + s], tilt_x = slope_x[BENDS + s];
+                    const float a = 1.0f - (yy + v * tilt_y), b = yx + v * tilt_x;
+                    const float c_ = xy + u * tilt_y, d = 1.0f - (xx + u * tilt_x);
+                    const float scale = 1.0f / (a * d - b * c_), to_y = (d * seen_y + b * seen_x) * scale;
+                    seen_x = (c_ * seen_y + a * seen_x) * scale;
+                    seen_y = to_y;
+                }
+                if (MAPS) {
+                    const float to_y = map[0] + (map[2] * seen_y + map[3] * seen_x);
+                    const float to_x = map[1] + (map[4] * seen_y + map[5] * seen_x);
+                    flux *= map[6] + (map[7] * seen_y + map[8] * seen_x);
+                    seen_y = to_y;
+                    seen_x = to_x;
+                }
+                const int i = y + (int)floor(seen_y + 0.5f), j = x + (int)floor(seen_x + 0.5f);
+                const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
+                if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) flux = 0.0f;
+                const float covered = there[s] * alphas[alpha[s] + at];
+#pragma unroll
+                for (int n = 0; n < EACH; ++n) {
+                    const float own = flux * lights[light[s] + (size_t)n * high * wide + at];
+                    some[n] += share * (through * own);
+                    some_light[s * EACH + n] += share * own;
+                }
+                through *= 1.0f - covered;
+                some_alpha[s] += SLOPES ? share * spread * covered : share * covered;
             }
         }
-        if (SLOPES) spread = 1.0f / ((1.0f - yy) * (1.0f - xx) - yx * xy);
-        whole += share * spread;
+        whole += some_whole;
 #pragma unroll
-        for (int s = 0; s < SHEETS; ++s) {
-            if (there[s] == 0.0f) continue;
-            float seen_y = BENDS ? radius[s] * v + down : radius[s] * v;
-            float seen_x = BENDS ? radius[s] * u + across : radius[s] * u;
-            float flux = there[s] * spread;
-            if (SLOPES) {  // the place x + t that is seen has the displacement: t = d + d' t
-                const float tilt_y = slope_y[BENDS + s], tilt_x = slope_x[BENDS + s];
-                const float a = 1.0f - (yy + v * tilt_y), b = yx + v * tilt_x;
-                const float c_ = xy + u * tilt_y, d = 1.0f - (xx + u * tilt_x);
-                const float scale = 1.0f / (a * d - b * c_), to_y = (d * seen_y + b * seen_x) * scale;
-                seen_x = (c_ * seen_y + a * seen_x) * scale;
-                seen_y = to_y;
-            }
-            if (MAPS) {
-                const float to_y = map[0] + (map[2] * seen_y + map[3] * seen_x);
-                const float to_x = map[1] + (map[4] * seen_y + map[5] * seen_x);
-                flux *= map[6] + (map[7] * seen_y + map[8] * seen_x);
-                seen_y = to_y;
-                seen_x = to_x;
-            }
-            const int i = y + (int)floor(seen_y + 0.5f), j = x + (int)floor(seen_x + 0.5f);
-            const int at = inside(i, high, BORDER) * wide + inside(j, wide, BORDER);
-            if (BORDER == 0 && (i < 0 || i >= high || j < 0 || j >= wide)) flux = 0.0f;
-            const float covered = there[s] * alphas[alpha[s] + at];
+        for (int k = 0; k < SHEETS * EACH; ++k) mean_light[k] += some_light[k];
 #pragma unroll
-            for (int n = 0; n < EACH; ++n) {
-                const float own = flux * lights[light[s] + (size_t)n * high * wide + at];
-                exact[n] += share * (through * own);
-                mean_light[s * EACH + n] += share * own;
-            }
-            through *= 1.0f - covered;
-            mean_alpha[s] += SLOPES ? share * spread * covered : share * covered;
-        }
+        for (int s = 0; s < SHEETS; ++s) mean_alpha[s] += some_alpha[s];
+#pragma unroll
+        for (int n = 0; n < EACH; ++n) exact[n] += some[n];
     }
 #pragma unroll
     for (int n = 0; n < EACH; ++n) {

@@ -38,6 +38,7 @@ from gpusim.kernels.common.border import BORDERS
 from gpusim.kernels.stage import Array, Case, stage
 
 MOST_AT_ONCE = 4
+TOGETHER = 64  # points with a sum of their own
 
 
 @stage
@@ -101,6 +102,7 @@ def occlude(
         "MAPS": int(maps is not None),
         "SLOPES": int(slopes is not None),
         "EACH": each,
+        "TOGETHER": TOGETHER,
     }
     maps = np.zeros((9, 1), np.float32) if maps is None else maps
     slopes = np.zeros((1, 2, 1), np.float32) if slopes is None else slopes
@@ -147,8 +149,9 @@ def cases():
     """Yield cases: one place, several layers, gaps among members, every border, aberrations, distortion, slopes."""
     random = np.random.default_rng(35)
     why = (
-        "the places of the samples are rounded alike; each of M shares, products and sums of positive terms rounds by "
-        "half an ulp, and the two sums are below the brightest light of the layers, or 3 times that with fluxes"
+        "the places of the samples are rounded alike; shares, products and sums of positive terms round by half an "
+        "ulp, of 64 points and then of such sums, and the two sums are below the brightest light of the layers, or "
+        "3 times that with fluxes"
     )
     for layers, channels, rows, cols, places, points, border, margin, terms, more in (
         (2, 1, 1, 1, 1, 1, "edge", 0, 0, ""),
@@ -156,6 +159,7 @@ def cases():
         (3, 4, 20, 65, 130, 64, "zero", 0, 0, ""),
         (5, 2, 12, 9, 40, 33, "reflect", 3, 0, ""),
         (2, 3, 8, 8, 0, 5, "edge", 0, 0, ""),
+        (2, 3, 33, 41, 60, 2048, "edge", 0, 0, ""),
         (2, 3, 33, 41, 60, 40, "edge", 0, 1, ""),
         (3, 2, 20, 65, 130, 64, "zero", 2, 7, ""),
         (2, 3, 33, 41, 60, 40, "edge", 0, 0, "displaced"),
@@ -192,6 +196,7 @@ def cases():
             own = random.uniform(-0.01, 0.01, (terms, 2, places))
             own = np.concatenate([own, random.uniform(-0.05, 0.05, (layers, 2, places))])
             aberrations["slopes"] = own.astype(np.float32)
+        longest = min(points, TOGETHER) + -(-points // TOGETHER)
         yield Case(
             f"{rows}x{cols}, {layers} layers, {places} places, {points} points, {border}, margin {margin}, "
             f"{terms} aberrations{', ' * bool(more)}{more}",
@@ -208,7 +213,7 @@ def cases():
                 "margin": margin,
                 "change": border == "reflect",
             },
-            (12 if more else 4) * layers * (points + layers) * 2.0**-24 * lights.max(),
+            (12 if more else 4) * layers * (longest + layers) * 2.0**-24 * lights.max(),
             why,
             metric="exact",
         )
