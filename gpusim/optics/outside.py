@@ -161,6 +161,7 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
         border: The scene's border.
     """
     inside = _inside(image, margin)
+    # float64: no square of float32 overflows
     level = sqrt(np.einsum("ij,ij->", inside, inside, dtype=np.float64) / inside.size)
     highest = inside.max(initial=0)
     is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE

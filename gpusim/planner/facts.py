@@ -184,6 +184,7 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
     even = np.ones(len(first))
     if len(first) >= rows - 1:
         return first, even
+    # float64: no square of float32 overflows
     squares = np.einsum("ij,ij->i", brightness, brightness, dtype=np.float64)
     squares /= max(squares.max(), 1e-300)
     light = squares[:-1] + squares[1:]
