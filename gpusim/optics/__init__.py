@@ -2,4 +2,6 @@
 
 from gpusim.domain.lazy import load_at_use
 
-load_at_use("numpy.f2py")  # SciPy reads all attributes of NumPy: 80 ms for a compiler of Fortran
+# SciPy reads all attributes of NumPy
+load_at_use("numpy.f2py")  # a compiler of Fortran, 80 ms
+load_at_use("numpy.testing")  # tools of tests, 20 ms

@@ -6,10 +6,10 @@ Pools of threads share the large work.
 """
 
 import ctypes
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from importlib import import_module
 from threading import Lock
 
 # of wheels of NumPy, of SciPy, and of systems, by the width of integers
@@ -20,7 +20,7 @@ NAMES = [
 ]
 _lock = Lock()
 _users = 0  # contexts that are open, of all threads
-_before: list[int] = []  # threads of each library before the first of them
+_before: list[tuple[Callable, int]] = []  # threads of each library before the first of them
 
 
 @contextmanager
@@ -34,8 +34,8 @@ def one_core() -> Iterator[None]:
     with _lock:
         _users += 1
         if _users == 1:
-            _before[:] = [read() for _, read in _libraries()]
-            for write, _ in _libraries():
+            _before[:] = [(write, read()) for write, read in _libraries()]
+            for write, _ in _before:
                 write(1)
     try:
         yield
@@ -43,22 +43,33 @@ def one_core() -> Iterator[None]:
         with _lock:
             _users -= 1
             if not _users:
-                for (write, _), count in zip(_libraries(), _before, strict=True):
+                for write, count in _before:
                     write(count)
 
 
-@cache
 def _libraries() -> list[tuple[Callable, Callable]]:
-    """Functions that set and get the number of threads, of the libraries that NumPy and SciPy are linked with."""
+    """Functions that set and get the number of threads, of the libraries that NumPy and SciPy are linked with.
+
+    SciPy's is left out while nothing has imported `scipy.linalg`: it has no threads yet.
+    """
     found = {}
     for module in ("numpy.linalg._umath_linalg", "scipy.linalg._fblas"):
-        try:  # symbols of the module, and of libraries it needs
-            library = ctypes.CDLL(str(import_module(module).__file__))
-        except (ImportError, OSError):
-            continue
-        for name in NAMES:
-            write, read = (getattr(library, name.format(word), None) for word in ("set", "get"))
-            if write and read:
-                write.argtypes, write.restype = [ctypes.c_int], None
-                found[ctypes.cast(write, ctypes.c_void_p).value] = write, read
+        if module in sys.modules:
+            found.update(_functions_of(str(sys.modules[module].__file__)))
     return list(found.values())
+
+
+@cache
+def _functions_of(path):
+    """Return the same functions of one library by their addresses. path: of a module that is linked with it."""
+    try:  # symbols of the module, and of libraries it needs
+        library = ctypes.CDLL(path)
+    except OSError:
+        return {}
+    found = {}
+    for name in NAMES:
+        write, read = (getattr(library, name.format(word), None) for word in ("set", "get"))
+        if write and read:
+            write.argtypes, write.restype = [ctypes.c_int], None
+            found[ctypes.cast(write, ctypes.c_void_p).value] = write, read
+    return found

@@ -161,7 +161,8 @@ def seen_light(image, deviation: float, margin: int, border: str) -> tuple[float
         border: The scene's border.
     """
     inside = _inside(image, margin)
-    level = scipy.linalg.norm(inside.ravel(), check_finite=False) / sqrt(inside.size)
+    # float64: no square of float32 overflows
+    level = sqrt(np.einsum("ij,ij->", inside, inside, dtype=np.float64) / inside.size)
     highest = inside.max(initial=0)
     is_smooth = inside.size > FEW and highest <= SPIKY * level and _likeness(inside) > ALIKE
     if is_smooth or not deviation or not level > 0:

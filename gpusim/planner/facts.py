@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
-import scipy
 
 from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
@@ -185,10 +184,9 @@ def with_bright_rows(first, brightness) -> tuple[np.ndarray, np.ndarray]:
     even = np.ones(len(first))
     if len(first) >= rows - 1:
         return first, even
-    # BLAS scales: no square overflows
-    norm = scipy.linalg.get_blas_funcs("nrm2", dtype=brightness.dtype)
-    lengths = np.array([norm(row) for row in brightness])
-    squares = (lengths / max(lengths.max(), 1e-300)) ** 2
+    # float64: no square of float32 overflows
+    squares = np.einsum("ij,ij->i", brightness, brightness, dtype=np.float64)
+    squares /= max(squares.max(), 1e-300)
     light = squares[:-1] + squares[1:]
     bright = np.argsort(light, kind="stable")[::-1][:MOST_BRIGHT]
     bright = bright[light[bright] > MUCH * light.mean()]

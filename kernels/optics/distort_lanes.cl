@@ -1,6 +1,6 @@
 // `limited` of distort.cl on CPUs: a work-item has a row, 8 pixels of it in the lanes of vectors. Neighbours that show
-// neighbouring samples, but for one sample that is shown twice or left out, read whole vectors. The others, those next
-// to the border, and samples that are spread by area are done one by one.
+// neighbouring samples, but for one sample that is shown twice or left out, read whole vectors. The others, and those
+// next to the border, are done one by one.
 #define CELLS_IN_LANES
 #include "distort.clh"
 
@@ -13,11 +13,11 @@
         0.5f * (2.0f - r_##w * r_##w * (5.0f - 3.0f * r_##w)),   \
         0.5f * (-r_##w * s * s)};
 
-// Values of 8 pixels' centres from x on, as `place`.
-void place8(__global const float *restrict line, const int x, const int nx, const int cols, float8 *v, float8 *u,
+// Values at half_x and at the same places of the next 7 pixels, as `place`.
+void place8(__global const float *restrict line, const int half_x, const int nx, const int cols, float8 *v, float8 *u,
             float8 *flux)
 {
-    const int8 at = (2 * (x + (int8)(0, 1, 2, 3, 4, 5, 6, 7)) + 1) * (nx - 1);
+    const int8 at = (half_x + (int8)(0, 2, 4, 6, 8, 10, 12, 14)) * (nx - 1);
     const int8 first = clamp(convert_int8(convert_float8(at) * (0.5f / cols)) - 1, 0, nx - 4);
     const float8 s = convert_float8(at - first * (2 * cols)) * (0.5f / cols);
     const float8 s1 = s - 1.0f, s2 = s - 2.0f, s3 = s - 3.0f;
@@ -52,6 +52,54 @@ void place8(__global const float *restrict line, const int x, const int nx, cons
     *flux = here[2] + sums[2];
 }
 
+// Whole numbers from the least value on up to the greatest one, within 0 .. 4: x <= number < y.
+int2 cells_between(const float8 least, const float8 greatest)
+{
+    const float4 low = fmin(least.lo, least.hi), high = fmax(greatest.lo, greatest.hi);
+    return clamp((int2)((int)floor(fmin(fmin(low.x, low.y), fmin(low.z, low.w))),
+                        (int)ceil(fmax(fmax(high.x, high.y), fmax(high.z, high.w)))), 0, 4);
+}
+
+// Weights of the 4 x 4 samples of each lane, as in `pixel`: cubic of each sample's share, the rest of it by area.
+// share: from the first sample on. wy, wx: of the cubic. floor_y, floor_x: whole parts of the centres' places.
+void weigh8(__global const float *restrict share, const int source_cols, __global const float *restrict line, const int x,
+            const int nx, const int cols, const float8 *wy, const float8 *wx, const float8 floor_y, const float8 floor_x,
+            const float8 flux, const int8 is_second, float8 *weights)
+{
+    float8 ys[4], xs[4];  // corners from the first sample: upper left, lower left, lower right, upper right
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+        const int is_low = k == 1 || k == 2, is_right = k > 1;
+        float8 v, u, unused;
+        place8(line + (is_low ? 6 * nx : 0), 2 * (x + is_right), nx, cols, &v, &u, &unused);
+        ys[k] = v - floor_y + (1.0f + is_low);
+        xs[k] = u - floor_x + (1.0f + is_right);
+    }
+    const int2 rows = cells_between(fmin(fmin(ys[0], ys[1]), fmin(ys[2], ys[3])), fmax(fmax(ys[0], ys[1]), fmax(ys[2], ys[3])));
+    const int2 columns = cells_between(fmin(fmin(xs[0], xs[1]), fmin(xs[2], xs[3])), fmax(fmax(xs[0], xs[1]), fmax(xs[2], xs[3])));
+    float8 whole = (float8)(0.0f);
+#pragma unroll
+    for (int k = 0; k < 16; ++k) weights[k] = (float8)(0.0f);
+    for (int a = rows.x; a < rows.y; ++a)
+        for (int b = columns.x; b < columns.y; ++b) {
+            float8 overlap = (float8)(0.0f);
+#pragma unroll
+            for (int k = 0; k < 4; ++k) overlap += below8(ys[k], xs[k], ys[(k + 1) % 4], xs[(k + 1) % 4], a, b);
+            overlap = fmax(overlap, 0.0f);
+            weights[4 * a + b] = overlap;
+            whole += overlap;
+        }
+    const float8 per = flux / whole;
+#pragma unroll
+    for (int a = 0; a < 4; ++a)
+#pragma unroll
+        for (int b = 0; b < 4; ++b) {
+            __global const float *at = share + a * source_cols + b;
+            const float8 part = select(vload8(0, at), vload8(0, at + 1), is_second);
+            weights[4 * a + b] = flux * wy[a] * wx[b] * part + per * weights[4 * a + b] * (1.0f - part);
+        }
+}
+
 __kernel void limited(
     // in:
     __global const float *restrict planes, __global const float *restrict lines, __global const float *restrict share,
@@ -70,7 +118,7 @@ __kernel void limited(
         int ones = x + 8 <= end ? 0 : 255 >> (x + 8 - end);  // bits of the lanes that are done one by one
         if (!ones) {
             float8 v, u, flux;
-            place8(middle, x, nx, cols, &v, &u, &flux);
+            place8(middle, 2 * x + 1, nx, cols, &v, &u, &flux);
             const float8 floor_y = floor(v), floor_x = floor(u);
             const int8 down = convert_int8(floor_y), across = convert_int8(floor_x);
             const int right = min(min(min(across.s0, across.s1), min(across.s2, across.s3)),
@@ -95,11 +143,10 @@ __kernel void limited(
                 }
                 const float8 inner = fmin(fmin(least[1], least[2]), least[3]);
                 const int8 spread = fmin(inner, select(least[0], least[4], is_second)) < 1.0f;
-                if (any(spread)) {
-                    int bits[8];
-                    vstore8(spread, 0, bits);
-                    for (int lane = 0; lane < 8; ++lane) ones |= bits[lane] ? 1 << lane : 0;
-                }
+                const int is_mixed = any(spread);
+                float8 weights[16];
+                if (is_mixed)
+                    weigh8(share + from, source_cols, line, x, nx, cols, wy, wx, floor_y, floor_x, flux, is_second, weights);
 #pragma unroll
                 for (int p = 0; p < PLANES; ++p) {
                     const size_t plane = m * PLANES + p;
@@ -112,7 +159,17 @@ __kernel void limited(
                     float8 total = wx[0] * select(sums[0], sums[1], is_second);
 #pragma unroll
                     for (int k = 1; k < 4; ++k) total += wx[k] * select(sums[k], sums[k + 1], is_second);
-                    vstore8(flux * total, 0, out + (plane * rows + y) * cols + x);
+                    total *= flux;
+                    if (is_mixed) {
+                        float8 mixed = (float8)(0.0f);
+#pragma unroll
+                        for (int k = 0; k < 16; ++k) {
+                            __global const float *sample = at + k / 4 * source_cols + k % 4;
+                            mixed += weights[k] * select(vload8(0, sample), vload8(0, sample + 1), is_second);
+                        }
+                        total = select(total, mixed, spread);
+                    }
+                    vstore8(total, 0, out + (plane * rows + y) * cols + x);
                 }
             }
         }

@@ -113,7 +113,7 @@ def test_resumed_and_in_parts_are_the_frames_of_one_run(
 
 
 @pytest.mark.parametrize("device", KINDS)
-def test_a_lossless_video_holds_the_frames_of_a_stream(device, tmp_path, capsys):
+def test_lossless_videos_and_arrays_hold_the_frames_of_a_stream(device, tmp_path, capsys):
     """Of a scene that rests: its exposure is metered once."""
     scene = gs.chart("deadleaves", size=(72, 48))
     simulator = gs.Simulator(
@@ -151,6 +151,11 @@ def test_a_lossless_video_holds_the_frames_of_a_stream(device, tmp_path, capsys)
                 assert np.abs(frame - values).max() <= 1  # float32 products round
             else:
                 assert np.array_equal(frame, values)
+    made(capsys, *asked, "-o", tmp_path / "a.npy")
+    for number in range(7):
+        planes = np.array(simulator.device.numpy(loop.output("linear", seed=3, first=number)))
+        stored = np.load(tmp_path / f"a_{number:04d}.npy")
+        assert stored.flags.c_contiguous and np.array_equal(stored, np.moveaxis(planes, 0, -1))
 
 
 def decoded(path):

@@ -275,7 +275,7 @@ class Encoder:
         """
         av = pyav()
         if not hasattr(self._threads, "change"):
-            self._threads.change = self._converter(av, threads=1)
+            self._threads.change = self._converter(av)
         frame = self._frame(av, values)
         frame.pts, frame.time_base = number, 1 / self.rate
         changed = self._threads.change(frame)
@@ -339,13 +339,16 @@ class Encoder:
             tags = known, curve, BT709, LIMITED
         context.color_primaries, context.color_trc, context.colorspace, context.color_range = tags
 
-    def _converter(self, av, threads=0):
-        """Return a function from a frame in the given format to one in the stored format."""
+    def _converter(self, av):
+        """Return a function from a frame in the given format to one in the stored format.
+
+        It has one thread: several frames are converted at the same time.
+        """
         if self.codec.given == self.codec.stored:
             return lambda frame: frame
         (rows, cols), given = self.shape, av.VideoFormat(self.codec.given)
         words = TO_LUMA if self.codec.given == "rgb24" else TO_HALF_CHROMA
-        return converter(words, self.codec.stored, cols, rows, given, 1 / self.rate, threads)
+        return converter(words, self.codec.stored, cols, rows, given, 1 / self.rate, threads=1)
 
     def _frame(self, av, values):
         """Return a frame in the given format."""

@@ -28,6 +28,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.cores import count_cores
 from gpusim.domain.errors import BadFile, Conflict, OutOfRange
 from gpusim.io.frame.frames import JPEG, RAW_ARRAY, suffix_of
+from gpusim.kernels.common.channels import put_channels_last
 from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.frame import Frame, Parts
 from gpusim.pipeline.simulator import Simulator
@@ -257,7 +258,11 @@ def _make_frame(loop, number, *, seed, output, parts, late):
     elif len(parts) == 1 and parts[0] in OUTPUT_OF:
         loop.settle()  # as `Loop.frame` does
         exposure, output = loop.expose(), OUTPUT_OF[parts[0]]
-        found = _fetch(loop.simulator, loop.output(output, seed=seed, first=number), output)
+        device, found = loop.simulator.device, loop.output(output, seed=seed, first=number)
+        if output == "linear":  # as files have it
+            found = _fetch_own(device, put_channels_last(device, found))
+        else:
+            found = _fetch(loop.simulator, found, output)
         if output == "raw":
             found = partial(_split_layers, exposure, found)
         values = _picture(exposure, parts[0], found)
@@ -295,12 +300,20 @@ def _picture(exposure, part, found) -> Frame:
 def _fetch(simulator: Simulator, values, output) -> Callable[[], np.ndarray]:
     """Begin to copy an output to the host; call the result for it. Linear light has its channels last."""
     device = simulator.device
-    if device.on_host or device.kind == "numpy":  # the next frame is written to the same memory
-        copied = np.array(device.numpy(values))
-        found: Callable = partial(_same, copied)
-    else:
-        found = device.fetch(values)
+    if _is_shared(device):  # the next frame is written to the same memory
+        values = np.array(device.numpy(values))
+    found = _fetch_own(device, values)
     return (lambda: np.moveaxis(found(), 0, -1)) if output == "linear" else found
+
+
+def _fetch_own(device, values) -> Callable[[], np.ndarray]:
+    """Begin to copy values to the host that no later frame writes to; call the result for them."""
+    return partial(_same, device.numpy(values)) if _is_shared(device) else device.fetch(values)
+
+
+def _is_shared(device):
+    """Return whether arrays of the device are in the host's memory."""
+    return device.on_host or device.kind == "numpy"
 
 
 def _arrived(one: Made) -> Made:
