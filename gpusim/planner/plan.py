@@ -482,7 +482,8 @@ def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict
     if single and question.is_blurred:
         name, rounding = "transforms", TRANSFORM_ERROR
     found = {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
-    if error := question.lens.table_error(question.scene.wavelengths):
+    lens, nodes = question.lens, question.scene.wavelengths
+    if error := question.cache("table error", type(lens).table_error, lens, nodes):
         found["transfer tables"] = Bound(error) if probes is None else probes.change_error(error)
     return found
 
