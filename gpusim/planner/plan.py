@@ -303,7 +303,7 @@ class Plan:
 
     def meets(self, exposure_time: float) -> bool:
         """Return whether the tolerance is met at an exposure time [s], or there is none to meet."""
-        if self.verdict is None or self.tolerance is None:
+        if self.is_draft or self.tolerance is None:
             return True
         return self.account.at(exposure_time).verdict(self.tolerance).is_met
 
