@@ -33,3 +33,8 @@ def cubes(count, size):
         )
         for k in range(count)
     ]
+
+
+def again(scene, name):
+    """Another scene of the same light: a copy of its content with the same arrays."""
+    return replace(scene, name=name, content=replace(scene.content))

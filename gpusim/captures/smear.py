@@ -228,15 +228,11 @@ class Path:
                 for one in probes.tables
             ]
         )
-        seen = replace(probes, spectra=self.smear(probes.spectra))
+        seen = replace(probes, light=probes.light.times(self.spectrum))
         bounds = [seen.bound(replace(seen, tables=sheared).exact - seen.exact)]
         if displaced:
             bounds.append(seen.shift_error(displaced * float(np.hypot(down, right))))
         return self._of_mean(probes, sum_errors(bounds))
-
-    def smear(self, spectra: np.ndarray) -> np.ndarray:
-        """Return transforms of windows after the smear along the middle sample's path."""
-        return (spectra * self.spectrum).astype(np.complex64)
 
     def cut_error(self, probes: Probes, is_whole: bool) -> Bound:
         """Return the error of `convolve`: of ripples from afar that are cut, and of float32 transforms.
@@ -264,13 +260,13 @@ class Path:
             return Bound()
         view = self.motion.at(self.start + self.seconds / 2)
         left = np.abs(self.spectrum)
-        seen = replace(probes, spectra=self.smear(probes.spectra), path=left)
+        seen = replace(probes, light=probes.light.times(self.spectrum), path=left)
         return seen.resampling_error(view, self.scene.samples_per_pixel)
 
     def _of_mean(self, probes, bound):
         """Return a bound relative to the mean light, which has less contrast than the scene."""
         before = probes.windows.weight @ np.square(probes.signal).mean(axis=(1, 2, 3))
-        seen = replace(probes, spectra=self.smear(probes.spectra))
+        seen = replace(probes, light=probes.light.times(self.spectrum))
         after = probes.windows.weight @ np.square(seen.signal).mean(axis=(1, 2, 3))
         factor = float(np.sqrt(before / after)) if 0 < after < before else 1.0
         return replace(bound, rms=bound.rms * factor)

@@ -33,7 +33,7 @@ without moments.
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import inf, sqrt
+from math import inf, isfinite, nan, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -494,11 +494,22 @@ class Watch:
         unit, of_table = np.ldexp(1.0, -exponents).tolist()
         return replace(self, scale=(unit, unit * of_table))
 
-    def _in_content_units(self, survey):
-        """Result of `spectral.survey` in the content's own units, float64."""
-        units = np.full(np.shape(survey)[-1], self.scale[1])
-        units[-1] = self.scale[0]
-        return np.asarray(survey, np.float64) / units**2
+    @cached_property
+    def _units(self) -> np.ndarray:
+        """What one is in a survey, in the content's own units: of the squares of each projection and of the content."""
+        units = np.full(len(self.table) + 1, self.scale[1] ** -2.0)
+        units[-1] = self.scale[0] ** -2.0
+        return units
+
+    @cached_property
+    def _sums(self) -> np.ndarray:
+        """Weights of surveyed squares in four sums, (P + 1, 4): error, |P d|^2, |d|^2 and differences of the signal."""
+        signals, sums = len(self.flat), np.zeros((len(self._units), 4))
+        sums[signals:-1, 0] = 1
+        sums[:signals, 1] = self.seen
+        sums[-1, 2] = 1
+        sums[:signals, 3] = 1
+        return self._units[:, None] * sums
 
     def errors(self, survey) -> Surveyed:
         """Return the relative RMS error of the mosaic's electrons, predicted from a survey, and its roughness.
@@ -510,30 +521,29 @@ class Watch:
         Args:
             survey: Result of `spectral.survey`, shape (n, 3, P + 1).
         """
-        found = self._in_content_units(survey)
-        signals = len(self.flat)
-        if not np.isfinite(found).all():
-            return Surveyed(*[np.nan] * 5)
-        signal = found[:, 0, :signals].sum() / len(found)
+        found = np.asarray(survey, np.float64)
+        if not isfinite(np.add.reduce(found, None)):  # all are squares: no two of them cancel
+            return Surveyed(*[nan] * 5)
+        count, signals = len(found), len(self.flat)
+        means = np.add.reduce(found[:, 0, :signals], 0)
+        signal = float(means @ self._units[:signals]) / count
         if signal == 0:
             return Surveyed()
-        squares = found[:, 1:].sum(axis=1)
-        each = squares[:, signals:-1].sum(axis=1) + self._rest(squares)
-        rough = squares[:, :signals].sum(axis=1)
+        each, along, whole, rough = ((found[:, 1] + found[:, 2]) @ self._sums).T
+        each = each + self._rest(along, whole)
         return Surveyed(
-            self.factor * sqrt(each.mean() / signal),
-            self.factor * sqrt(each.max() / signal),
-            sqrt(rough.mean() / signal),
-            sqrt(rough.max() / signal),
+            self.factor * sqrt(np.add.reduce(each) / count / signal),
+            self.factor * sqrt(np.maximum.reduce(each) / signal),
+            sqrt(np.add.reduce(rough) / count / signal),
+            sqrt(np.maximum.reduce(rough) / signal),
             sqrt(signal),
         )
 
-    def _rest(self, squares):
-        """Upper bound of the part of R, of pairs of rows (n, P + 1)."""
-        whole, along = squares[:, -1], squares[:, : len(self.flat)] @ self.seen
+    def _rest(self, along, whole):
+        """Upper bound of the part of R, of pairs of rows with |P d|^2 and |d|^2, shape (n,) each."""
         across = np.maximum(whole - along, ROUNDING * whole)
         root = self.beside[0] * np.sqrt(along) + self.beside[1] * np.sqrt(across)
-        return np.fmin(self.left * whole, root**2)
+        return np.fmin(self.left * whole, root * root)
 
     def forecast_falls(self, moments) -> tuple:
         """Return `falls` for operators of one plane more, two more and so on, with error moments M'.
@@ -553,7 +563,7 @@ class Watch:
         next survey checks: differences are taken as independent along the rows of B, and the rest
         is neglected.
         """
-        values, across, down = self._in_content_units(survey).mean(0)
+        values, across, down = self._units * np.asarray(survey, np.float64).mean(0)
         signals, differences = len(self.flat), across + down
         allowed = (self.limit / self.factor) ** 2 * values[:signals].sum()
         for more, fall in enumerate(self.falls, 1):

@@ -15,6 +15,7 @@ blades throw their light along their normals, as r^-2.
 from copy import copy
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
+from itertools import pairwise
 from math import ceil, prod, sqrt
 from typing import Any
 
@@ -22,7 +23,7 @@ import numpy as np
 import scipy
 from scipy.special import j1
 
-from gpusim.optics.windows import MOST_STEPS, Windows
+from gpusim.optics.windows import MOST_STEPS, Windows, take_windows
 
 BORDER_REACH = 64  # [pixel] of surroundings on each side that take part in the blur, unless a tolerance needs more
 # Most samples of a transform that is made longer for a tolerance: this number, or so many times the frame's
@@ -125,9 +126,9 @@ def _cells(shape, cell):
 
 def _coarse(image, period, cells, border, wide):
     """Means over the cells of a world of `wide` periods, (rows, cols)."""
-    down = _means(image.shape[0], period[0], cells[0], border, wide, image.dtype)
-    across = _means(image.shape[1], period[1], cells[1], border, wide, image.dtype)
-    return (across @ (down @ image).T).T
+    down, below = _means(image.shape[0], period[0], cells[0], border, wide, image.dtype)
+    across, beside = _means(image.shape[1], period[1], cells[1], border, wide, image.dtype)
+    return (across @ (down @ image).T).T[below[:, None], beside]
 
 
 def at_samples(coarse, shape, period, rows, cols) -> np.ndarray:
@@ -175,7 +176,7 @@ def _likeness(image):
     """Mean product of neighbours along some rows and columns, over the mean square; the smaller of the two."""
     found = []
     for whole in (image, image.T):
-        some = whole[:: len(whole) // PROBED + 1]
+        some = np.ascontiguousarray(whole[:: len(whole) // PROBED + 1])
         found.append(np.vdot(some[:, 1:], some[:, :-1]) / max(np.vdot(some, some), 1e-300))
     return float(min(found))
 
@@ -312,8 +313,11 @@ class Outside:
         for n, length in zip(self.image.shape, period, strict=True):
             at = np.arange(length) - (length - n) // 2
             counts.append(np.bincount(border_indices(at, n, rule_of(self.border)), minlength=n))
-        whole = counts[0] @ self._squares @ counts[1]
-        return max(sqrt(whole / prod(period)) / self.level, 1.0)
+        image = self.image
+        rows = np.einsum("yx,yx->y", image, image).astype(np.float64)
+        (several,) = np.nonzero(counts[1] != 1)
+        rows += np.square(image[:, several]) @ (counts[1][several] - 1.0)
+        return max(sqrt(counts[0] @ rows / prod(period)) / self.level, 1.0)
 
     def windows(self, inner: int = INNER) -> tuple[Windows, np.ndarray]:
         """Return windows of the frame and their light, float32 (n, WINDOW, WINDOW), a dark world included.
@@ -333,7 +337,7 @@ class Outside:
         )
         (rows, cols), rule = self.image.shape, rule_of(self.border)
         y, x = border_indices(windows.rows, rows, rule), border_indices(windows.cols, cols, rule)
-        light = self.image[y[:, :, None], x[:, None, :]].astype(np.float32)
+        light = take_windows(self.image, y, x).astype(np.float32, copy=False)
         if self.border == "zero":
             light *= (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
         self._windows[inner] = windows, light
@@ -368,10 +372,6 @@ class Outside:
         """
         least = 1 / self._probes[2]
         return float(np.quantile(least, 0.999)), float(least.max())
-
-    @cached_property
-    def _squares(self):
-        return np.square(self.image, dtype=np.float64)
 
     @cached_property
     def _probes(self):
@@ -412,7 +412,11 @@ def _inside(image, margin):
 
 @lru_cache(maxsize=32)
 def _means(n, period, cells, border, wide, dtype):
-    """Means over the cells of a world of `wide` periods, as weights of the image's n samples, of type `dtype`."""
+    """Means over the cells of a world of `wide` periods: weights of the image's n samples, of type `dtype`.
+
+    Returns:
+        The weights of each mean, once if cells have the same, and which of them each cell has.
+    """
     length, step = wide * period, period / cells
     at = np.arange(length) - (wide // 2 * period + (period - n) // 2)
     source = border_indices(at, n, border)
@@ -423,7 +427,16 @@ def _means(n, period, cells, border, wide, dtype):
     entries = np.concatenate([light * share, light * (1 - share)]) / step
     cell = np.concatenate([first, np.minimum(first + 1, wide * cells - 1)])
     places = cell, np.concatenate([source, source])
-    return scipy.sparse.csr_array((entries, places), shape=(wide * cells, n)).astype(dtype)
+    weights = scipy.sparse.csr_array((entries, places), shape=(wide * cells, n)).astype(dtype)
+    weights.sum_duplicates()
+    own: dict[bytes, int] = {}
+    first, which = [], np.empty(wide * cells, int)
+    for number, (start, end) in enumerate(pairwise(weights.indptr)):
+        row = weights.indices[start:end].tobytes() + weights.data[start:end].tobytes()
+        which[number] = own.setdefault(row, len(first))
+        if len(own) > len(first):
+            first.append(number)
+    return weights[first], which
 
 
 @lru_cache(maxsize=32)

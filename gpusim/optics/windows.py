@@ -57,6 +57,18 @@ class Windows:
         return cls(rows, cols, weight / weight.sum(), steepest)
 
 
+def take_windows(array: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+    """Return windows of an array (..., height, width) at rows (n, h) and columns (n, w): new, (n, ..., h, w)."""
+    shape = len(rows), *array.shape[:-2], rows.shape[1], cols.shape[1]
+    found = np.empty(shape, array.dtype)
+    for window, y, x in zip(found, rows, cols, strict=True):
+        if (np.diff(y) == 1).all() and (np.diff(x) == 1).all():
+            window[:] = array[..., y[0] : y[-1] + 1, x[0] : x[-1] + 1]
+        else:
+            window[:] = array[..., y[:, None], x]
+    return found
+
+
 def average_boxes(
     values: np.ndarray, size: int, mode: Literal["constant", "symmetric"] = "symmetric"
 ) -> np.ndarray:
@@ -82,35 +94,59 @@ def _edges(brightness, margin, border, inner):
     """
     rows, cols = brightness.shape[0] - 2 * margin, brightness.shape[1] - 2 * margin
     starts = _starts(rows, inner), _starts(cols, inner)
-    stride = max(1, round(brightness.size / MOST_STEPS))
-    tops = brightness.max(axis=1) if stride > 1 else None
-    highest = brightness if tops is None else tops
+    ends = [np.minimum(own + inner, n) for own, n in zip(starts, (rows, cols), strict=True)]
+    chosen, highest = _chosen_rows(brightness, margin + starts[0], margin + ends[0])
+    first = np.cumsum([0, *map(len, chosen[:-1])])  # row of each part in `step`
+    counts = np.array([len(one) for one in chosen])
+    at = np.concatenate(chosen)
     # a power of two, in the type of the values, that scales the largest to at most 1: no square overflows
-    unit = brightness.dtype.type(2.0 ** -in_range(highest.ravel()[[highest.argmax()]])[1])
-    ends = np.stack([starts[1], np.minimum(starts[1] + inner, cols)], axis=1)
-    energy, largest = np.empty((2, len(starts[0]), len(starts[1])))
-    for number, y in enumerate(starts[0]):
-        end = margin + min(y + inner, rows)
-        at = np.arange(margin + y, end, stride)
-        if tops is not None:  # with the brightest row if it is more than twice as bright as these
-            most = at[0] + int(np.argmax(tops[at[0] : end]))
-            at = np.union1d(at, most) if tops[most] > 2 * tops[at].max() else at
-        line = brightness[at] * unit
-        step = np.abs(brightness[np.minimum(at + 1, len(brightness) - 1)] * unit - line)
-        across = np.abs(np.diff(line, axis=1))
-        np.maximum(step[:, :-1], across, out=step[:, :-1])
-        np.maximum(step[:, 1:], across, out=step[:, 1:])
-        step = step[:, margin : margin + cols]
-        if border == "zero":
-            step[:, [0, -1]] = np.maximum(step[:, [0, -1]], line[:, [0, -1]])
-            for edge, row in ((0, 0), (rows - 1, -1)):
-                if y <= edge < y + inner:
-                    step[row] = np.maximum(step[row], brightness[edge] * unit)
-        mean = np.square(step).sum(axis=0, dtype=np.float64) / len(step)
-        # from each start to its end, without the gaps; one more, since an end may not be beyond the last
-        energy[number] = np.add.reduceat(np.append(mean, 0), ends.ravel())[::2]
-        largest[number] = np.maximum.reduceat(np.append(step.max(axis=0), 0), ends.ravel())[::2]
-    return starts, energy / (ends[:, 1] - ends[:, 0]), largest
+    unit = brightness.dtype.type(2.0 ** -in_range(highest)[1])
+    line = brightness[at] * unit
+    step = brightness[np.minimum(at + 1, len(brightness) - 1)] * unit
+    step -= line
+    np.abs(step, out=step)
+    across = np.abs(line[:, 1:] - line[:, :-1])
+    np.maximum(step[:, :-1], across, out=step[:, :-1])
+    np.maximum(step[:, 1:], across, out=step[:, 1:])
+    step = step[:, margin : margin + cols]
+    if border == "zero":
+        step[:, [0, -1]] = np.maximum(step[:, [0, -1]], line[:, [0, -1]])
+        last = first + counts - 1
+        for edge, row in ((0, first), (rows - 1, last)):
+            there = row[(starts[0] <= edge) & (edge < starts[0] + inner)]
+            step[there] = np.maximum(step[there], brightness[edge] * unit)
+    largest = _reduce_parts(np.maximum, step, starts[1], ends[1])
+    energy = _reduce_parts(np.add, np.square(step, out=step), starts[1], ends[1])
+    largest = np.maximum.reduceat(largest, first, axis=0).astype(np.float64)
+    energy = np.add.reduceat(energy, first, axis=0) / counts[:, None]
+    return starts, energy / (ends[1] - starts[1]), largest
+
+
+def _chosen_rows(brightness, starts, ends):
+    """Rows of the parts from `starts` to `ends` that are looked at, and the largest values of all rows, or all values.
+
+    Some of them evenly, and the brightest one if it is more than twice as bright as these.
+    """
+    stride = max(1, round(brightness.size / MOST_STEPS))
+    chosen = [np.arange(start, end, stride) for start, end in zip(starts, ends, strict=True)]
+    if stride == 1:
+        return chosen, brightness
+    tops = brightness.max(axis=1)
+    for number, (at, end) in enumerate(zip(chosen, ends, strict=True)):
+        most = at[0] + int(tops[at[0] : end].argmax())
+        if tops[most] > 2 * tops[at].max():
+            chosen[number] = np.union1d(at, most)
+    return chosen, tops
+
+
+def _reduce_parts(function, lines, starts, ends):
+    """Reduce parts of lines by a function, from each start to its end: (lines, parts)."""
+    # without the gaps; one more value, since an end may not be beyond the last
+    places = np.stack([starts, ends], axis=1).ravel()
+    if places[-1] == lines.shape[1]:
+        places = places[:-1]
+    dtype = np.float64 if function is np.add else None
+    return function.reduceat(lines, places, axis=1, dtype=dtype)[:, ::2]
 
 
 def _starts(n, inner):

@@ -20,7 +20,7 @@ from gpusim.pipeline.step import steps_needed
 from gpusim.planner.choices import Goal
 from gpusim.planner.draft import TURNED
 from gpusim.planner.facts import Facts, OnHost
-from gpusim.planner.given import judge_given, named_parts, plan_inputs
+from gpusim.planner.given import account_given, judge_given, named_parts, plan_inputs
 from gpusim.planner.knobs import highlights, spectral
 from gpusim.planner.plan import Plan, plan
 from gpusim.planner.probes import Probes
@@ -220,7 +220,7 @@ def probe_plan(
         scene, simulator.camera, facts, simulator.tolerance, **_plan_options(simulator)
     )
     single = simulator.device.kind != "numpy"
-    return judge_given(made, question, seconds, simulator.tolerance, single, brightness).account
+    return account_given(made, question, seconds, single, brightness)
 
 
 def probes_for(simulator: "Simulator", scene: Scene, view: View, seconds: float) -> Probes:

@@ -6,6 +6,9 @@ or two, so they become rare while nothing changes. The first scene that a plan w
 that the plan holds, the interval to the next probe becomes about three times longer. If a number of the survey rises
 above all its earlier values, a probe is due at once and the interval starts again. So n scenes need about log3(n)
 probes, and as many again for each rise. Rises are few.
+
+A probe looks at a content, not at its view: windows are drawn all over the content, and a view's error is a mean over
+all places and angles. So views of a content that was planned for or probed need no probe, unless they magnify it more.
 """
 
 from dataclasses import replace
@@ -13,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from gpusim.domain.account import Account, Bound
+from gpusim.domain.content import Content
 from gpusim.domain.scene import Scene
 from gpusim.optics.fusion import Surveyed, Watch
 from gpusim.planner.plan import Plan
@@ -43,6 +47,9 @@ class Probing:
 
     def _begin(self, plan):
         self._plan, self._scene, self._since = plan, None, 0
+        # content and zoom of the scenes whose errors are known: of the plan's own, and of the one that was probed last
+        self._own = None if plan is None else (plan.scene.content, plan.scene.view.zoom)
+        self._probed: tuple[Content, float] | None = None
         self._zoom = 1.0 if plan is None else plan.scene.view.zoom  # largest of scenes that held
         self._account: Account | None = None  # of the last probes
         self._worst: Account | None = None  # with the largest errors of all probes
@@ -100,15 +107,20 @@ class Probing:
         self._doubted, self._doubts = 0, 1 if is_met else TIMES * self._doubts + 1
 
     def is_due(self, plan: Plan, scene: Scene) -> bool:
-        """Return True if a scene must be probed. Each scene counts once.
+        """Return True if a scene must be probed. Each scene counts once, and views of one content as one.
 
-        Views of the plan's own content err alike if its planes have no error, unless they magnify it more.
+        Views of the plan's own content err alike, even in another call if its planes have no error, unless they magnify
+        it more.
         """
         watch = plan.find(Watch)
         if watch is None or plan.tolerance is None or scene in (plan.scene, self._scene):
             return False
-        is_larger = scene.view.zoom > MOVED * self._zoom
-        if scene.content is plan.scene.content and not (is_larger or watch.wrong.size):
+        content, zoom = scene.content, scene.view.zoom
+        is_larger = zoom > MOVED * self._zoom
+        for known in (self._own, self._probed):
+            if known is not None and content is known[0] and zoom <= MOVED * known[1]:
+                return False
+        if content is plan.scene.content and not (is_larger or watch.wrong.size):
             return False
         self._scene = scene
         self._since += 1
@@ -117,11 +129,13 @@ class Probing:
     def end_scene(self):
         """Let the last scene go. The same object counts as another scene from now on."""
         self._scene = self._awaited = None
+        self._own = self._probed = None  # their arrays may be written to
 
     def found(self, scene: Scene, account: Account, holds: bool):
         """Take the errors that probes of a scene found."""
         plan, since = self._plan, self._since - 1
         self.count += 1
+        self._probed = scene.content, scene.view.zoom
         # not a power of TIMES, so scenes that alternate cannot keep the same step
         self._interval, self._since = TIMES * self._interval + 1, 0
         worst = {} if self._worst is None else self._worst.at(account.seconds).bounds

@@ -6,16 +6,19 @@ from math import prod
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.backends.tape import recording
 from gpusim.domain.content import Basis, Content, Materials, Picture, is_seen
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.memory import type_of
 from gpusim.domain.scene import Scene
+from gpusim.kernels.optics.blur import blur_windows
 from gpusim.kernels.spectral.decode import decode
 from gpusim.kernels.spectral.illuminate import illuminate
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.kernels.spectral.materials import materials
+from gpusim.kernels.spectral.survey import MOST, survey
 from gpusim.kernels.spectral.take import take
-from gpusim.optics.fusion import Watch, row_pairs
+from gpusim.optics.fusion import EXPONENT, Watch, row_pairs
 from gpusim.planner.facts import OnHost
 from gpusim.planner.plan import Plan
 from gpusim.planner.probes import COUNT, SIDE
@@ -112,6 +115,7 @@ class Reading:
         ):
             stored = store(device, content)
         self._stored = stored
+        self._is_with_host = stored is None or device.kind == "numpy"
 
     def rows(self, chosen) -> Content:
         """Return whole rows of the samples in host memory. chosen: int (n,), clipped to the frame. See `windows`."""
@@ -136,6 +140,55 @@ class Reading:
                 np.clip(rows, 0, height - 1), np.clip(cols, 0, width - 1)
             )
         return self._read(lambda samples, dtype: self._take(samples, dtype, rows, cols))
+
+    def mix(self, chosen, table) -> np.ndarray | None:
+        """Return sums of entries by a table in whole rows, float32 (P, n, cols); None if the host has the samples.
+
+        Args:
+            chosen: The rows, int (n,), clipped to the frame.
+            table: The weights, shape (P, entries).
+        """
+        if self._is_with_host:
+            return None
+        device, (entries, ids) = self.device, self._stored
+        rows = take(entries, chosen[None], device=device)
+        numbers = None if ids is None else take(ids, chosen[None], device=device)
+        rows = device.reshape(rows, rows.shape[1:])
+        numbers = None if numbers is None else device.reshape(numbers, numbers.shape[1:])
+        return self._own(planes(device, table, (rows, numbers)), np.float32)
+
+    def squares(self, upper, level: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return mean squares of each wavelength in rows, and of its differences to the neighbours below and right.
+
+        Args:
+            upper: The rows, int (n,).
+            level: About the root of such a square: float32 holds squares of 1e-19 to 1e19 times that.
+
+        Returns:
+            Two arrays, float64 (n, L), or None if the samples are in host memory.
+        """
+        if self._is_with_host:
+            return None
+        entries, ids = self._stored
+        unit = 2.0 ** -float(np.clip(np.frexp(level)[1], -EXPONENT, EXPONENT))
+        table, found = self.content.entry_spectra.T, []
+        for first in range(0, len(table), MOST):
+            some = table[first : first + MOST]
+            each = survey(entries, some, upper, ids, scale=(unit, unit), device=self.device)
+            found.append(np.asarray(self.device.numpy(each), np.float64)[..., :-1])
+        values, across, down = np.moveaxis(np.concatenate(found, axis=2) / unit**2, 1, 0)
+        return values, across + down
+
+    def taken(self, rows, cols) -> "TakenOnDevice | None":
+        """Return windows of the samples on the device, or None if the samples are in host memory.
+
+        Args:
+            rows: Rows of each window, int (n, h), clipped to the frame.
+            cols: Columns of each window, int (n, w), clipped to the frame.
+        """
+        if self._is_with_host:
+            return None
+        return TakenOnDevice(self.device, self.content, self._stored, rows, cols)
 
     def _read(self, taken):
         """Return a content of this type from the samples that a function takes."""
@@ -172,3 +225,56 @@ class Reading:
             return self.content.brightness(total)
         table = np.asarray(total @ self.content.entry_spectra.T)[None]
         return self._own(planes(self.device, table, self._stored), np.float32)[0]
+
+
+class TakenOnDevice:
+    """Windows of a content on a device, below one another.
+
+    Args:
+        device: The device.
+        content: The content.
+        stored: Result of `store` for the whole content.
+        rows: Rows of each window, int (n, h), clipped to the frame.
+        cols: Columns of each window, int (n, w), clipped to the frame.
+    """
+
+    def __init__(self, device: Device, content: Content, stored, rows, cols):
+        self._device, self._spectra = device, content.entry_spectra
+        self._shape = len(rows), rows.shape[1], cols.shape[1]
+        height, width = content.shape
+        at = np.clip(rows, 0, height - 1)[:, :, None] * width + np.clip(cols, 0, width - 1)[:, None]
+        places = np.zeros((1, 1), np.int32), at.astype(np.int32).reshape(1, -1)
+
+        def gather(samples):  # of one long row: all windows at once
+            line = device.reshape(samples, (*samples.shape[:-2], 1, height * width))
+            return take(line, *places, device=device)
+
+        entries, ids = stored
+        self._is_spectral = content.is_spectral
+        shape = len(rows) * rows.shape[1], cols.shape[1]
+        number = entries.shape[:-2] if ids is None else ()
+        with recording(
+            None
+        ):  # they are read later: a computation that is made again must not overwrite them
+            self._stored = (
+                device.reshape(gather(entries), (*number, *shape)),
+                None if ids is None else device.reshape(gather(ids), shape),
+            )
+
+    def sum(self, weights) -> np.ndarray:
+        """Return sums over wavelength by `weights` (P, L), float32 (n, P, h, w), which later sums may overwrite."""
+        return self._numpy(planes(self._device, weights @ self._spectra.T, self._stored))
+
+    def blur(self, tables, mix) -> np.ndarray:
+        """Return sums by `mix` (C, L) of the wavelengths behind transfer functions, as `sum`.
+
+        tables: (L, h, w // 2 + 1). A window repeats itself.
+        """
+        table = None if self._is_spectral else self._spectra.T
+        light = planes(self._device, table, self._stored)
+        light = self._device.reshape(light, (len(tables), *self._shape))
+        return self._numpy(blur_windows(light, tables, mix, self._device))
+
+    def _numpy(self, array):
+        values = np.asarray(self._device.numpy(array))
+        return values.reshape(len(values), *self._shape).swapaxes(0, 1)

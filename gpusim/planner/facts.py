@@ -12,6 +12,8 @@ from gpusim.domain.scene import Scene
 from gpusim.optics.depth import flatten
 from gpusim.optics.fusion import Spectra, row_pairs
 from gpusim.optics.sampling import Moments, moments
+from gpusim.optics.windows import take_windows
+from gpusim.planner.window_light import Taken
 
 # times the mean of all pairs' light from which on a pair of rows is looked at for certain
 MUCH = 16
@@ -31,6 +33,21 @@ class Samples(Protocol):
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), a new array."""
 
+    def mix(self, chosen, table) -> np.ndarray | None:
+        """Sums of entries by `table` (P, entries) in whole rows, int (n,): float32 (P, n, cols).
+
+        None: the host computes them from the rows.
+        """
+
+    def squares(self, upper, level: float) -> tuple[np.ndarray, np.ndarray] | None:
+        """Mean squares of each wavelength in rows, int (n,), and of its differences to the neighbours below and right.
+
+        Shape (n, L), or None: the host computes them from the rows. level: about the root of such a square.
+        """
+
+    def taken(self, rows, cols) -> Taken | None:
+        """The windows of `windows`, SIDE samples a side, on a device; None: the host has them."""
+
     def whole(self) -> Content:
         """All samples, in host memory; of a picture they may be its codes."""
 
@@ -49,20 +66,22 @@ class OnHost:
         """See `Samples`."""
 
         def taken(array):
-            shape = len(rows), *array.shape[:-2], rows.shape[1], cols.shape[1]
-            found = np.empty(shape, array.dtype)
-            for window, y, x in zip(found, rows, cols, strict=True):
-                if (np.diff(y) == 1).all() and (np.diff(x) == 1).all():
-                    window[:] = array[..., y[0] : y[-1] + 1, x[0] : x[-1] + 1]
-                else:
-                    window[:] = array[..., y[:, None], x]
-            return np.moveaxis(found, 0, -3)
+            return np.moveaxis(take_windows(array, rows, cols), 0, -3)
 
         return self.content.on_host().with_samples(taken)
 
     def brightness(self, total) -> np.ndarray:
         """See `Samples`."""
         return self.content.brightness(total)
+
+    def mix(self, chosen, table) -> None:
+        """See `Samples`."""
+
+    def squares(self, upper, level: float) -> None:
+        """See `Samples`."""
+
+    def taken(self, rows, cols) -> None:
+        """See `Samples`."""
 
     def whole(self) -> Content:
         """See `Samples`."""
@@ -115,20 +134,41 @@ class Facts:
             return first, np.ones(len(first))
         return with_bright_rows(first, self._brightness[1])
 
+    @property
+    def _both_rows(self):
+        """Both rows of the pairs, one after the other, int (2 n,)."""
+        upper = self._rows[0]
+        lower = np.minimum(upper + 1, self.content.shape[0] - 1)
+        return np.stack([upper, lower], axis=1).ravel()
+
     @cached_property
     def pairs(self) -> Content:
         """Pairs of neighbouring rows, one above the other, in host memory.
 
         Evenly spaced ones, and those few that hold much of the light, if the brightness was looked at before.
         """
-        upper = self._rows[0]
-        lower = np.minimum(upper + 1, self.content.shape[0] - 1)
-        return self.samples.rows(np.stack([upper, lower], axis=1).ravel())
+        return self.samples.rows(self._both_rows)
 
     @cached_property
     def spectra(self) -> Spectra:
         """Second moments of the spectra and of their differences between neighbours."""
         return Spectra.of_pairs(self.pairs, self._rows[1])
+
+    @cached_property
+    def squares(self) -> tuple[np.ndarray, np.ndarray]:
+        """Diagonals of the moments `spectra`: of the values, and of the differences, shape (L,) each.
+
+        A device computes them, if it has the samples, without the moments.
+        """
+        found = None
+        if "spectra" not in self.__dict__ and self._brightness is not None:
+            total, light = np.frombuffer(self._brightness[0]), self._brightness[1]
+            level = float(light.max(initial=0)) / max(float(np.abs(total).sum()), 1e-300)
+            found = self.samples.squares(self._rows[0], level)
+        if found is None:
+            return np.diag(self.spectra.values), np.diag(self.spectra.differences)
+        weight = self._rows[1] / len(self._rows[1])
+        return weight @ found[0], weight @ found[1]
 
     def brightness(self, total) -> np.ndarray:
         """Sums over wavelength by `total` (L,): float32 (rows, cols), not to be written to."""
@@ -144,9 +184,7 @@ class Facts:
         key, known = self._brightness
         if not np.array_equal(samples.brightness(np.frombuffer(key)), known):
             return False
-        upper = self._rows[0]
-        lower = np.minimum(upper + 1, self.content.shape[0] - 1)
-        pairs = samples.rows(np.stack([upper, lower], axis=1).ravel())
+        pairs = samples.rows(self._both_rows)
         return all(
             np.array_equal(getattr(pairs, name), getattr(self.pairs, name))
             for name in pairs.samples
@@ -156,8 +194,13 @@ class Facts:
         """Return the pairs in channels of `weights` (C, L): float64 (C, rows, cols), good to float32."""
         key, found = weights.tobytes(), self._channels
         if found is None or found[0] != key:
-            table = (weights @ self.pairs.entry_spectra.T).astype(np.float32)
-            found = self._channels = key, self.pairs.mix(table).astype(np.float64)
+            table = (weights @ self.content.entry_spectra.T).astype(np.float32)
+            mixed = None
+            if "pairs" not in self.__dict__:
+                mixed = self.samples.mix(self._both_rows, table)
+            if mixed is None:
+                mixed = self.pairs.mix(table)
+            found = self._channels = key, mixed.astype(np.float64)
         return found[1]
 
     def moments(self, weights) -> Moments:

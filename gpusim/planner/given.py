@@ -84,16 +84,49 @@ def judge_given(
     Raises:
         BadData, OutOfRange: As `plan` does.
     """
-    camera, picture, notes, probes = question.camera, highlights.whole(question), Notes(), None
+    account, notes, question = _account(plan, question, exposure_time, single, brightness)
+    taps = plan.find(Sampling)
+    spectral.describe_unseen(question, notes)
+    pixels.describe(question, taps and (taps.rows, taps.cols), notes)
+    goal = () if asked is None else (Goal(asked, REMEDY),)
+    return plan.exchange(
+        *goal,
+        without=(Goal,),
+        scene=question.scene,
+        camera=question.camera,
+        content=question.content,
+        account=account,
+        single=single,
+        left_out=notes.left_out,
+        beside=notes.beside,
+        planned_for="",
+        probed="",
+        given_of=plan.scene.name,
+    )
+
+
+def account_given(
+    plan: Plan,
+    question: Question,
+    exposure_time: float | None,
+    single: bool,
+    brightness: float = 1.0,
+) -> Account:
+    """Return the account of `judge_given`, without what is reported beside it."""
+    return _account(plan, question, exposure_time, single, brightness)[0]
+
+
+def _account(plan, question, exposure_time, single, brightness):
+    """Return the account of a plan, the notes with its bounds, and the question as the plan takes it."""
+    picture, notes, probes = highlights.whole(question), Notes(), None
     operation = picture.operation(question, exposure_time, brightness)
-    form, taps = plan.find(Blur), plan.find(Sampling)
+    form = plan.find(Blur)
     if form and picture.is_spiky and highlights.can_be_split(question):
         notes.leave_out(
             "highlights, which a plan made for this scene would add exactly", UNKNOWN, "highlights"
         )
     if question.tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
-        question = question.with_limit(probes)
     if form is None and question.is_blurred:
         assert probes is not None  # a blur is left out only for a tolerance
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
@@ -110,28 +143,8 @@ def judge_given(
         spectral.planes_without_blur(question, notes)
     notes.bounds = rounding | notes.bounds
     _geometry(plan, placed, question, probes, notes)
-    spectral.describe_unseen(question, notes)
-    pixels.describe(question, taps and (taps.rows, taps.cols), notes)
-    account = Account(
-        {name: bound for name, bound in notes.bounds.items() if bound != Bound()},
-        operation.seconds,
-        doubt_of(question),
-    )
-    goal = () if asked is None else (Goal(asked, REMEDY),)
-    return plan.exchange(
-        *goal,
-        without=(Goal,),
-        scene=question.scene,
-        camera=camera,
-        content=question.content,
-        account=account,
-        single=single,
-        left_out=notes.left_out,
-        beside=notes.beside,
-        planned_for="",
-        probed="",
-        given_of=plan.scene.name,
-    )
+    bounds = {name: bound for name, bound in notes.bounds.items() if bound != Bound()}
+    return Account(bounds, operation.seconds, doubt_of(question)), notes, question
 
 
 def holds(plan: Plan, account: Account) -> bool:

@@ -303,7 +303,7 @@ class Plan:
 
     def meets(self, exposure_time: float) -> bool:
         """Return whether the tolerance is met at an exposure time [s], or there is none to meet."""
-        if self.verdict is None or self.tolerance is None:
+        if self.is_draft or self.tolerance is None:
             return True
         return self.account.at(exposure_time).verdict(self.tolerance).is_met
 
@@ -482,7 +482,8 @@ def rounding_of(question: Question, probes: Probes | None, single: bool) -> dict
     if single and question.is_blurred:
         name, rounding = "transforms", TRANSFORM_ERROR
     found = {name: Bound(rounding) if probes is None else probes.even_error(rounding)}
-    if error := question.lens.table_error(question.scene.wavelengths):
+    lens, nodes = question.lens, question.scene.wavelengths
+    if error := question.cache("table error", type(lens).table_error, lens, nodes):
         found["transfer tables"] = Bound(error) if probes is None else probes.change_error(error)
     return found
 

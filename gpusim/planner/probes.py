@@ -7,7 +7,7 @@ shows that, does not count.
 
 from copy import copy
 from dataclasses import dataclass, field, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -15,18 +15,15 @@ import scipy
 
 from gpusim.domain.account import Bound
 from gpusim.domain.scene import View
-from gpusim.optics.fusion import SAMPLED_PERIOD, in_range
+from gpusim.optics.fusion import in_range
 from gpusim.optics.geometry import interpolated_share, interpolation_error
 from gpusim.optics.highlights import median_of
 from gpusim.optics.outside import border_indices, rule_of
 from gpusim.optics.ripples import places_among, world_ripples
 from gpusim.optics.windows import Windows, level_above, quantile
 from gpusim.planner.facts import Facts
+from gpusim.planner.window_light import INNER, RIM, SIDE, Light, LightOnDevice, mix
 
-# of a window, and of its rim on each side, which does not count [sample]
-SIDE = SAMPLED_PERIOD
-RIM = 12
-INNER = SIDE - 2 * RIM
 UNEVEN = 1.5  # mean square of an error at the mosaic's pixels over all channels', from which it counts as the error
 LONE = 8.0  # times the median of samples, from which on few of them have ripples that windows do not hold
 # windows of 31 wavelengths; of more there are fewer, but not below these
@@ -77,9 +74,7 @@ class Probes:
 
     Attributes:
         windows: The windows.
-        spectra: Transforms of the wavelengths minus their means in each window, complex (n, L,
-            SIDE, SIDE // 2 + 1).
-        means: The means, (n, L).
+        light: Transforms of the wavelengths in each window.
         tables: Transfer functions of the wavelengths at these frequencies, (L, SIDE, SIDE // 2
             + 1).
         weights: Electrons per content, (C, L).
@@ -99,8 +94,7 @@ class Probes:
     """
 
     windows: Windows
-    spectra: np.ndarray
-    means: np.ndarray
+    light: Light
     tables: np.ndarray
     weights: np.ndarray
     even: np.ndarray
@@ -139,38 +133,33 @@ class Probes:
         """Return the probes of a scene. known: the other attributes."""
         y = border_indices(windows.rows, facts.content.shape[0], border)
         x = border_indices(windows.cols, facts.content.shape[1], border)
-        taken = facts.samples.windows(y, x)
-        entries = None
-        # as few planes as there are: of all wavelengths, or of entries that samples are mixed of
-        if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
-            planes, entries = taken.planes, taken.entry_spectra
-        elif taken.is_spectral:
-            planes = taken.planes
-        else:
-            planes = taken.mix(taken.entry_spectra.T.astype(np.float32))
-        planes = np.ascontiguousarray(planes.swapaxes(0, 1), np.float32)
+        lit = None
         if border == "zero":
             lit = (y == windows.rows)[:, :, None] & (x == windows.cols)[:, None, :]
-            planes *= lit[:, None]
-        means = planes[:, :, RIM:-RIM, RIM:-RIM].mean(axis=(2, 3))
-        planes -= means[..., None, None]
-        spectra = scipy.fft.rfft2(planes, workers=-1)
-        if entries is not None:
-            spectra, means = _mix(entries.T, spectra), means @ entries
-        return cls(windows, spectra, means.astype(np.float64), border=rule_of(border), **known)
+        taken = facts.samples.taken(y, x) if lit is None or lit.all() else None
+        read = partial(_read_light, facts, y, x, lit)
+        light = read() if taken is None else LightOnDevice(taken, read)
+        return cls(windows, light, border=rule_of(border), **known)
 
     @cached_property
     def exact(self) -> np.ndarray:
         """Transforms of the channels less their means, complex (n, C, SIDE, SIDE // 2 + 1)."""
-        tables = self.tables.astype(np.complex64 if np.iscomplexobj(self.tables) else np.float32)
-        return _mix(self.even, self.spectra * tables)
+        return self.light.blur(self.tables, self.even)
+
+    @cached_property
+    def _means(self) -> np.ndarray:
+        """Means of the channels in the windows' inner parts, (n, C)."""
+        return self.light.average(self.weights)
+
+    @cached_property
+    def _unblurred(self) -> np.ndarray:
+        """Transforms of the channels, less their means, if the lens blurred nothing, as `exact`."""
+        return self.light.sum(self.even * np.real(self.tables[:, 0, 0]))[0]
 
     @cached_property
     def signal(self) -> np.ndarray:
         """Electrons per second of the channels in the windows' inner parts, (n, C, *inner)."""
-        return np.maximum(
-            self._inside(self.exact) + (self.means @ self.weights.T)[..., None, None], 0
-        )
+        return np.maximum(self._inside(self.exact) + self._means[..., None, None], 0)
 
     def _inside(self, spectra):
         rows, cols = self.inner
@@ -242,15 +231,12 @@ class Probes:
         if not self._light.size > 0:
             return Bound()
         if "without blur" not in self._seen:
-            sharp = _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra)
-            self._seen["without blur"] = self._error_of(sharp - self.exact)
+            self._seen["without blur"] = self._error_of(self._unblurred - self.exact)
         return self._bound_of(self._seen["without blur"])
 
     def change_error(self, share: float) -> Bound:
         """Return a bound of the error of transfer functions wrong by up to `share`; 1 is the error without blur."""
-        return self.bound(
-            _mix(self.even * np.real(self.tables[:, 0, 0]), self.spectra) * np.float32(share)
-        )
+        return self.bound(self._unblurred * np.float32(share))
 
     def shift_error(self, move: float) -> Bound:
         """The error of a picture that is displaced by so many samples, at worst in both directions."""
@@ -338,22 +324,19 @@ class Probes:
             self._parts["area"] = self._spectra_by_area()
         found = np.zeros_like(self.exact)
         for n, part in self._parts["area"].items():
-            found[n] = _mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
+            found[n] = mix(self.even, (part * self.tables)[None].astype(np.complex64))[0]
         self._seen["area"] = found
         return found
 
     def _spectra_by_area(self) -> dict[int, np.ndarray]:
         """Transforms of the wavelengths' light that is taken by area, by windows that have such light."""
-        means = (self.means @ self.weights.T)[..., None, None]
-        light = np.maximum(
-            scipy.fft.irfft2(_mix(self.weights, self.spectra), (SIDE, SIDE)) + means, 0
-        )
+        sums, means = self.light.sum(self.weights)
+        light = np.maximum(scipy.fft.irfft2(sums, (SIDE, SIDE)) + means[..., None, None], 0)
         found = {}
         for n, share in enumerate(1 - interpolated_share(one) for one in light):
             if share.any():
-                planes = (
-                    scipy.fft.irfft2(self.spectra[n], (SIDE, SIDE)) + self.means[n][:, None, None]
-                )
+                spectra, means = self.light.spectra[n], self.light.means[n]
+                planes = scipy.fft.irfft2(spectra, (SIDE, SIDE)) + means[:, None, None]
                 found[n] = scipy.fft.rfft2((planes * share).astype(np.float32))
         return found
 
@@ -381,20 +364,20 @@ class Probes:
         sigmas = float(size / np.sqrt(max(size + self.noise, 1)))
         return Bound(rms, rms * sigmas, rms * sigmas)
 
-    def kernel_error(self, table, kernels, mix) -> Bound:
+    def kernel_error(self, table, kernels, weights) -> Bound:
         """Return the error of kernels that are wrong by so much all over the frame.
 
         Args:
             table: Planes from spectra, (planes, L).
             kernels: Errors of the planes' kernels, (planes, m, m), m odd.
-            mix: Weight of each plane in each channel, (C, planes).
+            weights: Weight of each plane in each channel, (C, planes).
         """
         at = (np.arange(kernels.shape[-1]) - kernels.shape[-1] // 2) % SIDE
         repeated = np.zeros((len(kernels), SIDE, SIDE))
         for own, kernel in zip(repeated, kernels, strict=True):
             np.add.at(own, (at[:, None], at), kernel)
         wrong = scipy.fft.rfft2(repeated).astype(np.complex64)
-        return self.bound(_mix(mix, _mix(table, self.spectra) * wrong))
+        return self.bound(mix(weights, self.light.sum(table)[0] * wrong))
 
     def even_error(self, rms: float) -> Bound:
         """Return an error of this relative RMS that is the same everywhere, such as rounding in transforms."""
@@ -424,7 +407,7 @@ class Probes:
 
     def everywhere(self, errors: list[np.ndarray]) -> Bound:
         """Return the bound of errors [e- s-1] of all channels together at places all over the frame, without signs."""
-        sigma, light = self._sigma, self.means @ self.weights.T
+        sigma, light = self._sigma, self._means
         share = (light.max(axis=1) / np.maximum(light.sum(axis=1), 1e-300)).max()  # of a channel
         weight = np.concatenate([np.full(one.size, 1 / one.size) for one in errors])
         values = np.concatenate([one.ravel() for one in errors])
@@ -446,7 +429,7 @@ class Probes:
             transfers: Weight of each wavelength's transfer function in a plane's, by channel,
                 (C, planes, L).
         """
-        planes, left = _mix(table, self.spectra), self.exact.copy()
+        planes, left = self.light.sum(table)[0], self.exact.copy()
         responses = np.tensordot(transfers, self.tables, 1)  # (C, planes, SIDE, ...)
         responses = responses.astype(np.complex64 if np.iscomplexobj(responses) else np.float32)
         for k in range(len(table)):
@@ -455,14 +438,21 @@ class Probes:
                 yield k + 1, self.bound(left)
 
 
-def _mix(weights, spectra):
-    """Sums of planes' transforms, complex64 (n, planes, SIDE, SIDE // 2 + 1), by real weights (sums, planes)."""
-    numbers = spectra.reshape(*spectra.shape[:2], -1).view(np.float32)
-    return (
-        (weights.astype(np.float32) @ numbers)
-        .view(np.complex64)
-        .reshape(len(spectra), -1, *spectra.shape[2:])
-    )
+def _read_light(facts, rows, cols, lit):
+    """The light of windows by wavelength. lit: samples that are not black, bool (n, SIDE, SIDE), or None for all."""
+    taken = facts.samples.windows(rows, cols)
+    entries = None
+    # as few planes as there are: of all wavelengths, or of entries that samples are mixed of
+    if taken.labels is None and len(taken.planes) < len(taken.wavelengths):
+        planes, entries = taken.planes, taken.entry_spectra
+    elif taken.is_spectral:
+        planes = taken.planes
+    else:
+        planes = taken.mix(taken.entry_spectra.T.astype(np.float32))
+    planes = np.ascontiguousarray(planes.swapaxes(0, 1), np.float32)
+    if lit is not None:
+        planes *= lit[:, None]
+    return Light.of(planes, entries)
 
 
 def _mean_squares(values):

@@ -203,18 +203,18 @@ class Question:
     @cached_property
     def edges(self) -> np.ndarray:
         """Part that each wavelength has of the light of edges in each channel, shape (C, L)."""
-        steps, spectra = np.diag(self.facts.spectra.differences), np.diag(self.facts.spectra.values)
+        values, steps = self.facts.squares
         if self.scene.border == "zero":  # all around the frame is an edge to the dark
-            steps = steps + spectra * sum(2 / n for n in self.size)
+            steps = steps + values * sum(2 / n for n in self.size)
         light = self.weights * np.sqrt(np.maximum(steps, 0))
         return light / np.maximum(light.sum(axis=1, keepdims=True), 1e-300)
 
-    @property
+    @cached_property
     def mean_q(self) -> float:
         """Mean of q, as the sensor sees the wavelengths."""
         return float(np.average(self.q, weights=self.light))
 
-    @property
+    @cached_property
     def deviation(self) -> float:
         """Standard deviation of a Gaussian that is about as the lens and the pixel spread a point [sample].
 
@@ -228,7 +228,7 @@ class Question:
             np.sqrt((0.42 * self.mean_q) ** 2 + self.spread**2 / share + (self.ratio**2 - 1) / 12)
         )
 
-    @property
+    @cached_property
     def spread(self) -> float:
         """Radius within which the rays of a point meet the image [sample], see `Lens.spread`."""
         return self.cache("spread", type(self.lens).spread, self.lens, self.scene.wavelengths)

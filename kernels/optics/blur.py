@@ -16,6 +16,8 @@ between period and frame. Light from farther away wraps around; the planner repo
 of the kernel out there.
 """
 
+from functools import lru_cache
+
 import numpy as np
 
 from gpusim.backends import Device
@@ -96,6 +98,54 @@ def blur_spectra(
     for some in tables:
         sums = _add(device, spectra, device.array(some), mix, period, 0, sums)
     return _cut(device, sums, shape, period, margin, None)
+
+
+def blur_windows(planes: Array, tables: np.ndarray, mix: np.ndarray, device: Device) -> Array:
+    """Convolve small pictures, each of which repeats itself, and sum per channel.
+
+    The windows of a plane are below one another in its spectrum: transfer functions that are
+    repeated as often serve all of them in one launch.
+
+    Args:
+        planes: Light of each plane, shape (planes, windows, rows, cols), float32.
+        tables: Transfer functions [1], shape (planes, rows, cols // 2 + 1), real (the same at
+            opposite rows) or complex.
+        mix: Weight of each plane in each channel, shape (channels, planes).
+        device: A `Device`.
+
+    Returns:
+        Channels, shape (channels, windows, rows, cols), float32.
+    """
+    count, windows, rows, cols = planes.shape
+    planes, period = device.reshape(planes, (count * windows, rows, cols)), (windows * rows, cols)
+    kind = np.complex64 if np.iscomplexobj(tables) else np.float32
+    given = np.asarray(tables, kind).tobytes(), tables.shape, np.dtype(kind)
+    tables, mix, sums = _repeated(device, *given, windows, cols), np.asarray(mix, np.float32), None
+    for first in range(0, count, BATCH):
+        size = min(BATCH, count - first)
+        given = first * windows, size * windows, "zero", (rows, cols)
+        spectra = fft.forward_extended(device, planes, *given)
+        spectra = device.reshape(spectra, (size, period[0], *spectra.shape[2:]))
+        sums = _add(device, spectra, tables, mix, period, first, sums)
+    sums = device.reshape(sums, (len(mix) * windows, rows, *sums.shape[2:]))
+    return device.reshape(fft.inverse(device, sums, cols), (len(mix), windows, rows, cols))
+
+
+@lru_cache(maxsize=8)
+def _repeated(device, values, shape, kind, windows, cols):
+    """Return tables for windows below one another, on the device: quarters or halves as `blur` takes them."""
+    tables = np.frombuffer(values, kind).reshape(shape)
+    count, rows, half = shape
+    if kind == np.float32:
+        at = np.arange(windows * rows // 2 + 1) % rows
+        return device.array(tables[None, :, at])
+    tables, back = tables.copy(), -np.arange(rows) % rows
+    for own in (
+        {0, cols // 2} if cols % 2 == 0 else {0}
+    ):  # of real pictures these determine themselves
+        tables[:, :, own] = (tables[:, :, own] + tables[:, back, own].conj()) / 2
+    tables = np.tile(tables, (1, windows, 1)).view(np.float32)
+    return device.array(tables.reshape(1, count, windows * rows, 2 * half))
 
 
 def _add(device, spectra, tables, mix, period, first, sums):

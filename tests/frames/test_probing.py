@@ -20,8 +20,10 @@ from gpusim.domain.pupil import Pupil
 from gpusim.domain.scene import unit_light
 from gpusim.judge.truth import true_error
 from gpusim.optics.fusion import Surveyed, Watch
+from gpusim.pipeline.planning import probe_plan
 from gpusim.pipeline.probing import Probing, kind_of
 from gpusim.planner.choices import Blur
+from gpusim.planner.facts import Facts
 from gpusim.planner.plan import Plan
 
 CAMERA, SIZE, SECONDS = gs.open_camera("phone"), (160, 120), 0.01
@@ -146,7 +148,7 @@ def test_probes_become_rare_and_change_no_bits(device, monkeypatch):
     """Of 60 scenes that do not change four are probed."""
     simulator = made(device, 1e-3)
     scenes, probed = cameras.cubes(1, (32, 24)) * 61, []
-    scenes = [replace(scene, name=str(number)) for number, scene in enumerate(scenes)]
+    scenes = [cameras.again(scene, str(number)) for number, scene in enumerate(scenes)]
     found = Probing.found
     monkeypatch.setattr(
         Probing,
@@ -173,7 +175,7 @@ def test_a_plan_without_blur_is_not_kept_for_edges(device):
         loop = made(device).loop(flat, SECONDS)
         loop.raw()
         for number in range(more):
-            loop.update(scene=replace(flat, name=f"flat {number}")).raw()
+            loop.update(scene=cameras.again(flat, f"flat {number}")).raw()
         assert loop.plan.find(Blur) is None
         loop.update(scene=local()).raw()
         if more:  # not due
@@ -239,11 +241,7 @@ def test_what_rises_now_and_then_is_probed_a_few_times():
     plan, probing, count = made("numpy").plan(even(), None, SECONDS), Probing(), 0
     probing.set_plan(plan)
     for number in range(1, 1000):
-        scene = (
-            replace(even(), name=str(number))
-            if number < 3
-            else replace(plan.scene, name=str(number))
-        )
+        scene = even(str(number)) if number < 3 else cameras.again(plan.scene, str(number))
         if probing.is_due(plan, scene):
             count += 1
             probing.found(scene, plan.account, True)
@@ -375,6 +373,41 @@ def test_calls_share_a_plan_while_it_fits(device, monkeypatch):
     turned = met(scene_of(SPECTRA[:, ::-1], "turned"), True)
     sharp.content.values[:] = SPECTRA[:, ::-1]  # the scene of the plan itself
     np.testing.assert_array_equal(np.array(met(sharp).mean), np.array(turned.mean))
+
+
+def test_views_of_a_content_that_was_probed_are_not_probed(monkeypatch):
+    """Displaced and turned ones: a probe of each finds the same bits. One that magnifies the content is probed."""
+    simulator, probed = made("numpy", gs.Tolerance(p999_sigma=50)), []
+    found = Probing.found
+    monkeypatch.setattr(
+        Probing,
+        "found",
+        lambda self, scene, *more: probed.append(scene.name) or found(self, scene, *more),
+    )
+    views = [gs.View((0.3 + k, 0.2 - 2 * k), 0.1 * k) for k in range(4)]
+    own, other = even("own"), even("other")
+    loop = simulator.loop(own.viewed(views[0]), SECONDS)
+    loop.raw()
+    assert loop.plan.find(Watch).wrong.size  # its planes have an error
+    for scene, wanted in ((own, []), (other, ["other"])):
+        accounts = []
+        for view in views[1:]:
+            loop.update(scene=scene.viewed(view)).raw()
+            asked = simulator, loop.plan, loop.scene, SECONDS, Facts.of(loop.scene)
+            accounts.append(probe_plan(*asked))
+        assert probed == wanted
+        assert all(one.bounds == accounts[0].bounds for one in accounts)
+    loop.update(scene=other.viewed(gs.View((0.3, 0.2), zoom=1.5))).raw()
+    assert probed == ["other", "other"]
+
+
+def test_views_are_probed_after_a_call_in_which_their_arrays_may_be_written_to():
+    plan, probing = made("numpy").plan(even(), None, SECONDS), Probing()
+    probing.set_plan(plan)
+    assert plan.find(Watch).wrong.size
+    assert not probing.is_due(plan, replace(plan.scene, name="a view"))
+    probing.end_scene()
+    assert probing.is_due(plan, replace(plan.scene, name="in another call"))
 
 
 def test_scenes_that_are_not_met_are_probed_ever_less_often():

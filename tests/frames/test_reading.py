@@ -2,18 +2,23 @@
 
 from dataclasses import replace
 
+import cameras
 import numpy as np
 import pytest
-from devices import ALL_KINDS, KINDS
+from devices import ALL_KINDS, KINDS, apart
 from foreign_arrays import Tensor
 
+import gpusim as gs
 from gpusim.backends import open_device
 from gpusim.backends.tape import Tape, recording
 from gpusim.domain.content import Basis, Cube, Materials, Picture
 from gpusim.domain.memory import type_of
 from gpusim.pipeline import reading
 from gpusim.pipeline.light import store_content
+from gpusim.pipeline.loop import facts_on_device
+from gpusim.pipeline.planning import probe_plan
 from gpusim.pipeline.reading import Reading, store
+from gpusim.planner.facts import Facts
 
 WAVELENGTHS = np.linspace(400, 700, 31)
 SHAPE = (37, 53)
@@ -136,6 +141,87 @@ def test_brightness_is_that_of_the_host(name, content):
     np.testing.assert_array_equal(Reading(open_device(name), content).brightness(total), wanted)
 
 
+def sums_of(content, table):
+    """Sums over the wavelengths of all samples by `table` (P, L), and those of their magnitudes: float64 (P, ...)."""
+    spectra = table @ content.entry_spectra.T
+    if content.labels is not None:
+        each = spectra[:, content.labels] * content.planes
+        return each, np.abs(each)
+    planes = content.planes.astype(float)
+    return np.tensordot(spectra, planes, 1), np.tensordot(np.abs(spectra), np.abs(planes), 1)
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_sums_of_rows_are_those_of_their_samples(name, content):
+    """Rounding as of the brightness."""
+    table = np.random.default_rng(5).normal(1, 1, (3, 31))
+    seen, chosen = content.on_host(), np.array([36, 3, -2, 40, 3])
+    wanted, magnitude = (part[:, [36, 3, 0, 36, 3]] for part in sums_of(seen, table))
+    terms = len(seen.entry_spectra) if seen.labels is None else 1
+    for each in readings(name, content):
+        found = each.mix(chosen, table @ seen.entry_spectra.T)
+        assert type(found) is np.ndarray and found.dtype == np.float32
+        assert (np.abs(found - wanted) <= 1.01 * (terms + 1) * 2.0**-24 * magnitude).all()
+    assert Reading(open_device(name), content).mix(chosen, table) is None
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_squares_are_those_of_all_pairs_of_neighbours(name, content):
+    """To the rounding of `spectral.survey`, see its cases: of n terms each, squared and summed over a row."""
+    seen, upper = content.on_host(), np.array([0, 5, 17, 36], np.int32)
+    bands, magnitude = sums_of(seen, np.eye(31))
+    if (
+        seen.labels is None
+    ):  # differences of entries are taken first, and those are exact to a rounding
+        terms, size = len(seen.entry_spectra), np.abs(seen.entry_spectra.T)
+        planes = seen.planes.astype(float)
+        changes = [np.diff(planes, axis=2), np.diff(planes, axis=1)]
+        across, down = (np.tensordot(size, np.abs(change), 1) for change in changes)
+    else:
+        terms, across = 2, magnitude[:, :, 1:] + magnitude[:, :, :-1]
+        down = magnitude[:, 1:] + magnitude[:, :-1]
+    down = np.concatenate([down, 0 * down[:, :1]], axis=1)  # below the last row is none
+    below = np.concatenate([np.diff(bands, axis=1), 0 * bands[:, :1]], axis=1)
+
+    def mean(values):
+        return np.square(values[:, upper]).mean(axis=2).T
+
+    wanted = mean(bands), mean(np.diff(bands, axis=2)) + mean(below)
+    rounding = 2.02 * (terms + SHAPE[1] + 5) * 2.0**-24
+    most = rounding * mean(magnitude), rounding * (mean(across) + mean(down))
+    for each in readings(name, content):
+        found = each.squares(upper, float(np.abs(bands).max()))
+        for its, own, limit in zip(found, wanted, most, strict=True):
+            assert its.shape == (4, 31) and (np.abs(its - own) <= limit).all()
+    assert Reading(open_device(name), content).squares(upper, 1.0) is None
+
+
+@pytest.mark.parametrize("name", [*KINDS, "apart"])
+def test_windows_are_blurred_as_if_they_repeated_themselves(name, content):
+    """To the rounding of `optics.blur`, see its cases; of the transform of a table, half as much."""
+    device = apart() if name == "apart" else open_device(name)
+    random, shape = np.random.default_rng(6), (16, 12)
+    rows, cols = (np.arange(n) + random.integers(-4, 40, (5, 1)) for n in shape)
+    seen, weights = content.on_host(), random.normal(1, 1, (3, 31))
+    y, x = np.clip(rows, 0, SHAPE[0] - 1)[:, :, None], np.clip(cols, 0, SHAPE[1] - 1)[:, None]
+    taken = Reading(device, there(device, content)).taken(rows, cols)
+    wanted, magnitude = (part[:, y, x].swapaxes(0, 1) for part in sums_of(seen, weights))
+    rounding = 1.01 * (len(seen.entry_spectra) + 1) * 2.0**-24
+    assert (np.abs(taken.sum(weights) - wanted) <= rounding * magnitude).all()
+    bands = sums_of(seen, np.eye(31))[0][:, y, x]
+    fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])
+    width = random.uniform(0.5, 2, (31, 1, 1))
+    even = np.exp(-2 * (np.pi * width) ** 2 * (fy**2 + fx**2))
+    for tables in (even, even * np.exp(-2j * np.pi * (0.3 * width * fy + 0.7 * fx))):
+        planes = np.fft.irfft2(np.fft.rfft2(bands) * tables[:, None], shape)
+        wanted = np.einsum("cl,lnyx->ncyx", weights, planes)
+        # a transform mixes all samples of a window: the rounding of each is that of the largest
+        most = np.einsum("cl,ln->nc", np.abs(weights), np.abs(bands).max(axis=(2, 3)))
+        error = np.abs(taken.blur(tables, weights) - wanted).max(axis=(2, 3))
+        assert (error <= (3e-6 + rounding) * most).all()
+    assert Reading(device, content).taken(rows, cols) is None
+
+
 @pytest.mark.parametrize("name", ALL_KINDS)
 @pytest.mark.parametrize(
     "read",
@@ -171,3 +257,21 @@ def test_the_whole_is_not_read(name, monkeypatch):
     monkeypatch.setattr(reading, "take", None)
     monkeypatch.setattr(reading, "store", None)
     assert type_of(Reading(device, FORMS["half"]).windows(ROWS, COLS).values) == np.float16
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_probes_of_samples_on_a_device_find_the_errors_of_the_host(name):
+    """Float32 transforms round by 3e-7 of the light, which is 0.3 % of an error of planes of 1e-4."""
+    simulator = gs.Simulator(gs.open_camera("phone"), device=name, tolerance=1e-3)
+    scene = cameras.cubes(1, (160, 120))[0]
+    made = simulator.plan(scene, exposure_time=0.01)
+    cube = replace(scene.content, values=np.ascontiguousarray(scene.content.values[:, ::-1]))
+    other, device = replace(scene, content=cube), simulator.device
+    sampled = facts_on_device(cube, store(device, cube), device)
+    found, wanted = (
+        probe_plan(simulator, made, other, 0.01, facts) for facts in (sampled, Facts.of(other))
+    )
+    assert isinstance(sampled.samples.taken(ROWS, COLS), reading.TakenOnDevice)
+    assert found.bounds.keys() == wanted.bounds.keys() and wanted.bounds["planes"].rms > 1e-4
+    for cause, bound in wanted.bounds.items():
+        assert found.bounds[cause].figures == pytest.approx(bound.figures, rel=3e-3), cause

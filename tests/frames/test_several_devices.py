@@ -27,7 +27,7 @@ from gpusim.backends.warp import WarpDevice
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadData, DeviceError, GpusimError
 from gpusim.pipeline import planning
-from gpusim.planner.given import judge_given
+from gpusim.planner.given import account_given
 
 SIZE = (96, 64)
 CAMERA = cameras.camera_with(noise={"prnu": 0.01})
@@ -302,11 +302,11 @@ def test_devices_work_while_a_scene_is_probed(monkeypatch):
 
     def judged(plan, question, *args):
         probed.append((question.scene.name, len(drawn)))
-        return judge_given(plan, question, *args)
+        return account_given(plan, question, *args)
 
     monkeypatch.setattr(Command, "start", started)
-    monkeypatch.setattr(planning, "judge_given", judged)
-    scenes = [replace(one, name=str(k)) for k, one in enumerate(cameras.cubes(1, SIZE) * 20)]
+    monkeypatch.setattr(planning, "account_given", judged)
+    scenes = [cameras.again(one, str(k)) for k, one in enumerate(cameras.cubes(1, SIZE) * 20)]
     simulator = gs.Simulator(CAMERA, device=pair_of_gpus(), tolerance=1e-3)
     for _ in simulator.stream(scenes, "raw", exposure_time=0.01):
         pass
@@ -328,7 +328,7 @@ def test_a_scene_that_a_plan_misses_is_made_again(device, queues, at):
         flat = np.ascontiguousarray(np.broadcast_to(mean, usual.content.values.shape))
         content = gs.Cube(usual.wavelengths, flat)
         usual, strange = replace(usual, content=content), replace(usual, name="edges")
-    scenes = [strange if k == at else replace(usual, name=str(k)) for k in range(28)]
+    scenes = [strange if k == at else cameras.again(usual, str(k)) for k in range(28)]
     found = []
     for several in (1, queues):
         simulator = gs.Simulator(gs.open_camera("phone"), device=device, tolerance=1e-3)

@@ -135,7 +135,7 @@ def test_a_plan_that_does_not_fit_is_made_anew(device):
 
     loop = simulator.loop(likely, 0.01)
     loop.raw()
-    loop.update(scene=replace(likely, name="probed")).raw()
+    loop.update(scene=cameras.again(likely, "probed")).raw()
     first = loop.plan
     assert error(loop.update(scene=odd).exposure) > tolerance
     assert loop.plan is first
@@ -163,7 +163,7 @@ def test_what_comes_back_finds_a_plan_that_fits(device, monkeypatch):
 
     monkeypatch.setattr(gs.Simulator, "plan", planned)
     scenes = [
-        replace(odd if number % 10 == 7 else likely, name=str(number)) for number in range(40)
+        cameras.again(odd if number % 10 == 7 else likely, str(number)) for number in range(40)
     ]
     for _ in simulator.stream(scenes, "raw", exposure_time=0.01):
         pass

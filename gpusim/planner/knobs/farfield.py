@@ -374,9 +374,10 @@ def _rings(outside, question, tiling, far):
     # of a narrow frame all
     rows, cols = np.minimum(np.array(outside.image.shape) - 2 * outside.margin, valid)
     error = error[..., :rows, :cols] / outside.level * (HOT if outside.is_spiky else 1)
-    across = 2 * outside.around + 1
-    local = average_boxes(light, across)
-    return windows, error, local[:, rim : rim + rows, rim : rim + cols]
+    around = outside.around
+    local = light[:, rim - around : rim + rows + around, rim - around : rim + cols + around]
+    local = average_boxes(local, 2 * around + 1)
+    return windows, error, local[:, around : around + rows, around : around + cols]
 
 
 def _middle(light, table, valid):
@@ -406,7 +407,8 @@ def _repeated_response(question, tiling, far):
     at = np.abs(np.arange(-side, side))
     # up to the windows' end, a side away
     whole = np.pad(quarter, [(0, 0), (0, 1), (0, 1)])[:, at[:, None], at]
-    return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2)))
+    # real, as it is the same on both sides of the middle
+    return scipy.fft.rfft2(scipy.fft.ifftshift(whole, axes=(1, 2))).real
 
 
 def _tile_response(point, side, overlap, sigmas, tails):
