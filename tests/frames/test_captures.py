@@ -104,10 +104,10 @@ def test_frames_in_motion_follow_one_another():
     """Each opens when the last row of the one before has closed: exposures of their own times."""
     sensor = camera(row_time=2e-5)
     simulator, readout = gs.Simulator(sensor, device="opencl:0"), 2e-5 * 47
-    capture = gs.Bracket((-1, 1), motion=PAN, period=0.5)
-    frames = capture.take(simulator, SCENE, first=4)
+    capture = gs.Bracket((-1, 0, 1), motion=PAN, period=0.5)
+    frames = capture.take(simulator, SCENE, first=6)
     start = 1.0  # two captures before
-    for frame, seconds in zip(frames, (0.005, 0.02), strict=True):
+    for frame, seconds in zip(frames, (0.005, 0.01, 0.02), strict=True):
         expected = gs.expose_motion(simulator, SCENE, PAN, seconds, start)
         np.testing.assert_array_equal(frame.mean, np.asarray(expected.mean))
         start += seconds + readout

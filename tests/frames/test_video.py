@@ -643,8 +643,8 @@ def test_an_interrupt_leaves_nothing_half_written(tmp_path):
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         )
-        begun, deadline = set(tmp_path.rglob("*")), time.monotonic() + 60
-        while set(tmp_path.rglob("*")) == begun and time.monotonic() < deadline:
+        before, deadline = set(tmp_path.rglob("*")), time.monotonic() + 60
+        while set(tmp_path.rglob("*")) == before and time.monotonic() < deadline:
             time.sleep(0.05)
         time.sleep(0.5)  # some frames later
         process.send_signal(signal.SIGINT)

@@ -135,7 +135,7 @@ LENSES = {
 
 @functools.cache
 def patterns_behind(name):
-    """Of a point on the axis, for each band, at all pixels; several tests compare frames with them."""
+    """Energy of every pixel from the point, for each band; several tests compare frames with it."""
     field, norm = LENSES[name][1]
     return [pattern(field, norm, q, ROWS, COLS) for q in Q]
 
