@@ -53,6 +53,7 @@ ON_ALL_DEVICES = (
     "test_updates",
 )
 OTHERS = ("warp:cpu", "numpy")
+FIRST_CASES = "test_first_cases_of_a_stage_agree_with_its_reference"
 
 
 # Tests of many combinations that repeat each other: one in so many is in the default run, the others are slow tests.
@@ -134,6 +135,20 @@ ONE_OF = {
     "test_scene_forms_agree": 2,
     "test_worst_places_are_predicted": 3,
     "test_large_arrays_that_are_dropped_are_freed_if_the_host_works": 2,
+    "test_a_star_keeps_its_energy": 2,
+    "test_batches_of_captures_have_four_axes_at_most": 3,
+    "test_a_stream_has_the_bits_and_plans_of_one_device": 2,
+    "test_a_batch_has_the_bits_and_plans_of_one_device": 2,
+    "test_large_tables_are_the_integral": 2,
+    "test_large_tables_behind_blades_are_the_integral": 2,
+    "test_tables_of_many_waves": 3,
+    "test_border_is_the_mirrored_mosaic": 3,
+    "test_the_exposure_is_that_of_the_downloaded_frame": 3,
+    "test_coarse_pixels_err_as_predicted": 2,
+    "test_a_frame_that_repeats_the_last_has_the_bits_of_a_new_loop": 2,
+    "test_highlights_by_the_border_of_a_displaced_view_are_those_of_its_picture": 2,
+    "test_variance_is_that_of_drawn_values": 2,
+    "test_stated_error_of_tables_holds": 2,
 }
 
 
@@ -148,10 +163,15 @@ def pytest_ignore_collect(collection_path, config):
     return None
 
 
-def pytest_collection_modifyitems(items):
-    """Mark as slow: whole frames on a second CPU device, if the first is tested too; combinations beyond `ONE_OF`."""
+def pytest_collection_modifyitems(config, items):
+    """Mark as slow: whole frames on a second CPU device, if the first is tested too; combinations beyond `ONE_OF`.
+
+    And the first cases of stages, but for `-m quick`: another test runs all cases.
+    """
     named, counted = {}, {}
     for item in items:
+        if getattr(item, "originalname", "") == FIRST_CASES and config.option.markexpr != "quick":
+            item.add_marker("slow")
         if item.get_closest_marker("quick"):
             assert any(item.path.is_relative_to(place) for place in QUICK), item.nodeid
         if hasattr(item, "callspec") and "frames" in item.path.parts:

@@ -636,14 +636,17 @@ def test_what_was_made_before_a_damaged_scene_stays(suffix, pictures, tmp_path, 
 
 def test_an_interrupt_leaves_nothing_half_written(tmp_path):
     for suffix in (".mkv", ".y4m", ".png"):
-        asked = ["deadleaves", "--size", "320x240", "--shake", "2", "--zoom", "1.1"]
+        asked = ["deadleaves", "--size", "160x120", "--shake", "2", "--zoom", "1.1"]
         asked += ["--camera", "phone", "--device", "numpy", "--frames", "2000"]
         process = subprocess.Popen(
             [sys.executable, "-m", "gpusim", "video", *asked, "-o", str(tmp_path / f"a{suffix}")],
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         )
-        time.sleep(4)
+        before, deadline = set(tmp_path.rglob("*")), time.monotonic() + 60
+        while set(tmp_path.rglob("*")) == before and time.monotonic() < deadline:
+            time.sleep(0.05)
+        time.sleep(0.5)  # some frames later
         process.send_signal(signal.SIGINT)
         _, error = process.communicate(timeout=60)
         assert process.returncode not in (0, None) and b"Traceback" not in error

@@ -5,6 +5,7 @@ aberrated circle's by sums over radius and angle; then Gauss's rule over each pi
 """
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -132,6 +133,13 @@ LENSES = {
 }
 
 
+@functools.cache
+def patterns_behind(name):
+    """Energy of every pixel from the point, for each band; several tests compare frames with it."""
+    field, norm = LENSES[name][1]
+    return [pattern(field, norm, q, ROWS, COLS) for q in Q]
+
+
 def compared(mean, truth, plan, core_error=2e-6):
     """Local errors: within the core of float32 sums alone, and beyond it within the prediction."""
     lights = plan.find(Highlights)
@@ -153,11 +161,9 @@ def compared(mean, truth, plan, core_error=2e-6):
 @pytest.mark.parametrize("name", LENSES)
 def test_a_point_of_1e9_behind_any_pupil(name):
     """Exact near the point; on a core's rim and beyond, what the rim's light errs is predicted."""
-    settings, (field, norm) = LENSES[name]
-    camera = camera_of(**settings)
-    patterns = [pattern(field, norm, q, ROWS, COLS) for q in Q]
+    camera = camera_of(**LENSES[name][0])
     mean, plan, weights = exposed(camera)
-    compared(mean, electrons(patterns, weights, camera.sensor.cfa_indices), plan)
+    compared(mean, electrons(patterns_behind(name), weights, camera.sensor.cfa_indices), plan)
 
 
 def test_a_point_of_1e9_behind_an_aberrated_lens():
@@ -179,11 +185,9 @@ def test_a_point_of_1e9_behind_an_aberrated_lens():
 
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_point_behind_blades_on_all_devices(device):
-    field, norm = LENSES["hexagon"][1]
     camera = camera_of(**LENSES["hexagon"][0])
-    patterns = [pattern(field, norm, q, ROWS, COLS) for q in Q]
     mean, plan, weights = exposed(camera, device)
-    compared(mean, electrons(patterns, weights, camera.sensor.cfa_indices), plan)
+    compared(mean, electrons(patterns_behind("hexagon"), weights, camera.sensor.cfa_indices), plan)
 
 
 @pytest.mark.parametrize("blades", [0, 6])
@@ -208,11 +212,9 @@ def test_oblong_and_displaced_pixels(blades):
 
 def test_stacked_pixels():
     """All channels in every pixel, behind blades."""
-    field, norm = LENSES["hexagon"][1]
     camera = camera_of({"stacked": True}, **LENSES["hexagon"][0])
-    patterns = [pattern(field, norm, q, ROWS, COLS) for q in Q]
     mean, plan, weights = exposed(camera)
-    compared(mean, electrons(patterns, weights), plan)
+    compared(mean, electrons(patterns_behind("hexagon"), weights), plan)
 
 
 def test_finer_samples():

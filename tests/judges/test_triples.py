@@ -46,7 +46,7 @@ def data():
 def test_promises_are_kept(seed, data):
     """No crash, no refusal, and "met" only where the true error is within the tolerance."""
     rows = triples.asked(seed, device=DEVICE, data=data)
-    if not rows:
+    if not rows and data is None:
         pytest.skip(f"seed {seed} is of measured data: no folder {SHARED_DATA}")
     print(triples.line(rows[0]))
     assert rows[0]["status"] == "ok"

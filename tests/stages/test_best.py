@@ -35,8 +35,8 @@ ENCODED = {
 }  # an 8-bit photograph
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
 @pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
 def test_a_mirrored_mosaic_is_the_mirrored_picture_of_best(options, device):
     """No direction and no phase is preferred: the four phases and the transpose are mirror images of each other.
 
@@ -60,8 +60,8 @@ def test_a_mirrored_mosaic_is_the_mirrored_picture_of_best(options, device):
     np.testing.assert_allclose(transposed.transpose(0, 2, 1), straight, rtol=0, atol=tolerance)
 
 
-@pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
 @pytest.mark.parametrize("device", ALL_KINDS)
+@pytest.mark.parametrize("options", OPTIONS, ids=NAMES)
 def test_border_is_the_mirrored_mosaic(options, device):
     """A frame demosaicked alone is the inside of its mirrored surroundings, whatever its size."""
     for rows, cols in ((2, 2), (2, 5), (3, 4), (17, 20), (33, 38)):
