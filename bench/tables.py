@@ -9,6 +9,7 @@ in the order of the file names. Text between marks without a stored result stays
 from pathlib import Path
 
 from results import HERE, OneLineParser, load, spread, start
+from runner import tables as runner_tables
 from tolerances import by_tolerance, within
 from triple_summary import BAND, summary
 
@@ -361,6 +362,7 @@ TABLES = {
     "scaling": _scaling,
     "threads": _threads,
     "peers": _peers,
+    "runner": runner_tables,
     "noise": _peers,
     "field": _peers,
     "fusion": _peers,

@@ -12,6 +12,18 @@ from gpusim.domain.memory import CPU
 FREE_BLOCKS = 32
 FREE_BYTES = 2**30  # more blocks, up to so much in all
 VECTOR = 16  # [byte] alignment of host memory that kernels use in place
+PAGE = 4096
+
+
+def allocate_pages(nbytes: int) -> np.ndarray:
+    """Return new memory of the host that begins at a page, uint8.
+
+    Args:
+        nbytes: Its size.
+    """
+    store = np.empty(nbytes + PAGE, np.uint8)
+    start = -store.ctypes.data % PAGE
+    return store[start : start + nbytes]
 
 
 class OpenCLArray:

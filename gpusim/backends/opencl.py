@@ -16,6 +16,7 @@ from gpusim.backends.buffers import (
     Command,
     FreeMemory,
     OpenCLArray,
+    allocate_pages,
     kinds_of,
 )
 from gpusim.backends.caches import pocl_folder
@@ -29,7 +30,6 @@ from gpusim.domain.errors import DeviceError
 from gpusim.domain.memory import Pinned
 from gpusim.domain.progress import announced
 
-PAGE = 4096
 # Refused memory, in the drivers' words; a buffer's size above the limit of one buffer is "invalid"
 REFUSALS = (
     "MEM_OBJECT_ALLOCATION_FAILURE",
@@ -132,9 +132,7 @@ class OpenCLDevice(Taped):
     def _allocate(self, nbytes):
         if not self.on_host:
             return self._cl.Buffer(self.context, self._cl.mem_flags.READ_WRITE, nbytes), None
-        store = np.empty(nbytes + PAGE, np.uint8)  # page-aligned memory is shared, not copied
-        start = -store.ctypes.data % PAGE
-        host = store[start : start + nbytes]
+        host = allocate_pages(nbytes)  # page-aligned memory is shared, not copied
         return self.wrap(host), host
 
     def wrap(self, values: np.ndarray):

@@ -28,7 +28,7 @@ import numpy as np
 from gpusim.backends.launches import BUILD_OPTIONS
 from gpusim.backends.probe import COPY_BYTES
 from gpusim.bench import limits
-from gpusim.bench.recorder import CopyOf, NotRecordable, Program, Recorded, Recorder
+from gpusim.bench.recorder import UNITS, CopyOf, NotRecordable, Program, Recorded, Recorder
 from gpusim.bench.stages import Stage
 from gpusim.bench.subject import digest_values, write_size
 from gpusim.domain.errors import BadFile, Conflict
@@ -50,7 +50,7 @@ FORMS = {
 }
 TYPES = "u1", "u2", "i4", "u4", "f4", "f8"  # of answers, the first that holds all values
 ARCHIVES = ".tar.gz", ".zip"
-RUNNER = "runner.c", "CMakeLists.txt", "README.md", "LICENSE"
+RUNNER = "runner.c", "pocl.c", "CMakeLists.txt", "README.md", "LICENSE"
 
 
 def write_pack(
@@ -58,6 +58,7 @@ def write_pack(
     stages: Iterable[str] | None = None,
     size: tuple[int, int] = SIZE,
     archive: str | Path | None = None,
+    cores: int = UNITS,
 ) -> dict[str, Any]:
     """Write a pack.
 
@@ -66,6 +67,8 @@ def write_pack(
         stages: Names of stages; None for all.
         size: Columns and rows of the timed input of each stage.
         archive: Also an archive of the folder, .tar.gz or .zip.
+        cores: Compute units of the processor that times are compared on. Some stages cut a frame
+            into as many strips.
 
     Returns:
         stages, cases, programs (their numbers), bytes (size of the folder), and left: pairs of a
@@ -87,7 +90,7 @@ def write_pack(
     try:
         (temporary / "programs").mkdir(parents=True)
         with open(temporary / "data.bin", "wb") as data:
-            pack = _Pack(temporary, data)
+            pack = _Pack(temporary, data, cores)
             for name in stages or stage_names():
                 with announced(f"packing {name}"):
                     pack.add_stage(name, size)
@@ -110,14 +113,14 @@ def write_pack(
 class _Pack:
     """A pack that is being written to a folder."""
 
-    def __init__(self, folder, data):
+    def __init__(self, folder, data, cores):
         self.folder, self.data, self.end = folder, data, 0
         self.places: dict[bytes, int] = {}  # checksum of data -> its place
         self.programs: dict[Program, int] = {}
         self.lines: list[str] = []
         self.left: list[tuple[str, str]] = []
         self.counts = {"stages": 0, "cases": 0, "programs": 0}
-        self.recorders = {form: Recorder(*limits) for form, limits in FORMS.items()}
+        self.recorders = {form: Recorder(*limits, cores) for form, limits in FORMS.items()}
 
     def add_stage(self, name, size):
         """Add all cases of a stage, and its timed input."""

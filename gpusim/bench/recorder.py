@@ -15,7 +15,7 @@ import numpy as np
 from gpusim.backends.launches import Piece, program_head, split_grid, stage_source
 from gpusim.backends.tape import Taped
 
-UNITS = 8  # compute units, for stages that cut a frame into as many strips
+UNITS = 8  # by default
 
 
 class NotRecordable(Exception):
@@ -110,6 +110,7 @@ class Recorder(Taped):
         is_gpu: Whether stages take their form for GPUs.
         group_limit: Most work-items of a group.
         local_bytes: Local memory of a group [byte].
+        units: Compute units, for stages that cut a frame into as many strips.
 
     Attributes:
         steps: Launches and copies since `begin`, in order.
@@ -119,11 +120,11 @@ class Recorder(Taped):
     kind = "opencl"
     array_type = Recorded
 
-    def __init__(self, is_gpu: bool, group_limit: int, local_bytes: int):
+    def __init__(self, is_gpu: bool, group_limit: int, local_bytes: int, units: int = UNITS):
         super().__init__()
         self.name = "recorder"
         self.is_gpu, self.on_host = is_gpu, not is_gpu
-        self.group_limit, self.local_bytes = group_limit, local_bytes
+        self.group_limit, self.local_bytes, self._units = group_limit, local_bytes, units
         self._programs: dict = {}
         self.begin()
 
@@ -134,7 +135,7 @@ class Recorder(Taped):
             width: Floats in a vector of the processor.
         """
         self.cl_device = SimpleNamespace(
-            max_compute_units=UNITS, native_vector_width_float=width, driver_version=""
+            max_compute_units=self._units, native_vector_width_float=width, driver_version=""
         )
         self.steps: list[Launch | CopyOf] = []
         self.asked_fp64 = False

@@ -205,6 +205,7 @@ ROWS = {
     "bench pack": {
         "stage": ("packed", "--stage sensor.noise"),
         "size": ("packed", "--size 24x16"),
+        "cores": ("packed", "--cores 2"),
         "archive": ("packed", "--archive packed.zip"),
     },
     "bench pareto": {
@@ -399,9 +400,9 @@ def record(monkeypatch):
     def scaled(cases, **settings):
         yield from timed(cases, settings)
 
-    def packed(folder, stages, size, archive):
+    def packed(folder, stages, size, archive, cores):
         counts = dict.fromkeys(("cases", "programs", "bytes"), 0)
-        asked = said(folder, *stages, size, archive)
+        asked = said(folder, *stages, size, archive, cores)
         return counts | {"stages": len(stages), "left": [(asked, "")]}
 
     def warmed(device, cameras, tolerances):

@@ -12,6 +12,9 @@ from gpusim.domain.errors import BadData, OutOfMemory
 from gpusim.domain.scene import View
 
 ROWS, COLS, SECONDS = 30, 44, 0.01
+# On Warp's processor the blur is SciPy's work on the host, between kernels: no commands make it again
+ON_HOST = "warp:cpu"
+REPEATING = [kind for kind in KINDS if ON_HOST not in (kind, *getattr(kind, "values", ()))]
 
 
 def scenes(kind):
@@ -70,7 +73,8 @@ def test_a_frame_that_repeats_the_last_has_the_bits_of_a_new_loop(kind, output, 
             found, host(simulator, one.output(output, seed=7, first=number)), f"frame {number}"
         )
     # kernels take the codes of a picture from its content, and a zoom as a number
-    assert started >= {"picture": 0, "zooms": 1}.get(kind, 8)
+    least = 0 if device == ON_HOST else {"picture": 0, "zooms": 1}.get(kind, 8)
+    assert least <= started <= (0 if device == ON_HOST else len(order))
 
 
 @pytest.mark.parametrize("device", KINDS)
@@ -94,7 +98,7 @@ def test_what_is_asked_for_after_a_repeated_frame_is_that_scene_s(device):
         np.testing.assert_array_equal(found, wanted)
 
 
-@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("device", REPEATING)
 def test_a_first_scene_again_is_not_taken_for_the_last(device):
     """The caches hold keys of the frames before the repeated ones: these must not count as equal."""
     simulator, given = open_phone(device), scenes("cube")
@@ -105,7 +109,7 @@ def test_a_first_scene_again_is_not_taken_for_the_last(device):
     np.testing.assert_array_equal(found, host(simulator, wanted))
 
 
-@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("device", REPEATING)
 def test_repeated_scenes_are_measured(device):
     """Light that is not finite is found in the next frame, and a scene that needs more planes gets them."""
     simulator, given = open_phone(device, 1e-4), scenes("cube")
@@ -137,7 +141,7 @@ def test_each_fixed_exposure_has_its_own_commands(device):
         np.testing.assert_array_equal(host(simulator, found), host(simulator, wanted))
 
 
-@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("device", REPEATING)
 def test_a_scene_that_was_begun_but_not_exposed_is_measured_with_the_next(device):
     """The view after it changes less than it did: what only the content changes must not be left out."""
     simulator, given = open_phone(device), scenes("materials")
@@ -196,7 +200,7 @@ def test_what_fails_while_it_is_begun_is_made_again(stage, monkeypatch):
     np.testing.assert_array_equal(found, host(simulator, wanted))
 
 
-@pytest.mark.parametrize("device", KINDS)
+@pytest.mark.parametrize("device", REPEATING)
 def test_values_by_name_after_a_repeated_exposure_are_that_scene_s(device):
     simulator, given = open_phone(device), scenes("cube")
     loop, plan = repeat_loop(simulator, given)

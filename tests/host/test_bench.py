@@ -17,11 +17,12 @@ sys.path.append(str(BENCH))
 import drivers  # noqa: E402
 import memory  # noqa: E402
 import results  # noqa: E402
+import runner  # noqa: E402
 import tables  # noqa: E402
 
 from gpusim.bench import timing  # noqa: E402
 from gpusim.bench.loops import time_in_process  # noqa: E402
-from gpusim.domain.errors import BadFile  # noqa: E402
+from gpusim.domain.errors import BadFile, DeviceError  # noqa: E402
 from gpusim.kernels.stage import stage_module, stage_names  # noqa: E402
 
 MACHINE = {
@@ -174,6 +175,23 @@ EXAMPLES = [
         charts=["deadleaves"],
     ),
     result(
+        "runner",
+        [
+            {
+                "name": "sensor.noise",
+                "form": "cpu",
+                "cases": 9,
+                "left": 1,
+                "wrong": {"c": [2], "python": []},
+                "error": {"c": 0.5, "python": 0.5},
+                "ms": {"c": [3.0, 2.1], "python": [2.0, 4.0]},
+                "times": 1.05,
+            }
+        ],
+        title="some driver",
+        rounds=2,
+    ),
+    result(
         "color",
         [{"name": "ridge", "table": "Errors", "cells": ["1.0", "2.0"]}],
         columns={"Errors": ["method", "D65", "A"]},
@@ -225,6 +243,8 @@ def test_tables_are_made_of_the_results_alone(stored):
         "| ours | 2 | 1 .. 3 | SciPy | 4.00 (3.00 .. 5.00) |  |",
         "| torch | not installed |",
         "| 1e-3 | 1 | 1 | 0 | 1 | 0 | 0.25 | 2 |",
+        "some driver, least of 2 rounds: times within 5% in 1 of 1 stages, equal verdicts in 0.",
+        "| sensor.noise | cpu | 9 | 8 | 9 | 2.1 | 2 | 1.050 |",
         "| ridge | 1.0 | 2.0 |",
         "10 GB/s copied, 100 GFLOP/s measured",
         "commit abc, 2026-01-02",
@@ -387,6 +407,8 @@ def run(monkeypatch, capsys):
         ("noise.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
         ("noise.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
         ("two_devices.py", ("--device", "numpy,numpy"), "numpy twice"),
+        ("runner.py", ("--device", "numpy"), "an OpenCL device"),
+        ("runner.py", ("--seconds", "0"), "seconds = 0.0"),
         ("noise.py", ("--device", "numpy", "--against", "missing.json"), "cannot be read"),
     ],
 )
@@ -424,12 +446,14 @@ def test_command_writes_the_readme(stored, tmp_path):
     for name in ("suite", "scaling"):  # they have figures, which take seconds
         (stored / f"{name}-here.json").unlink()
     readme = tmp_path / "README.md"
-    readme.write_text(marks("loops", "threads", "peers", "triples", "tolerances", "color"))
+    readme.write_text(
+        marks("loops", "threads", "peers", "triples", "tolerances", "runner", "color")
+    )
     subprocess.run(
         [sys.executable, BENCH / "tables.py", "--results", stored, "--readme", readme], check=True
     )
     assert readme.read_text() == tables.filled(
-        marks("loops", "threads", "peers", "triples", "tolerances", "color"),
+        marks("loops", "threads", "peers", "triples", "tolerances", "runner", "color"),
         tables.stored_results(stored),
     )
 
@@ -441,6 +465,37 @@ def test_a_process_of_its_own_finds_what_this_one_finds(tmp_path, monkeypatch):
         "PYTHONPATH", os.pathsep.join(filter(None, [str(tmp_path), os.environ.get("PYTHONPATH")]))
     )
     assert results.in_process("only_there", {"number": 4}) == {"twice": 8}
+
+
+INDEX = """gpusim-pack 1
+stage sensor.noise
+case cpu 0 one
+case gpu 0 one
+case cpu 2 three
+stage optics.mosaic
+case gpu 0 one
+"""
+
+
+def test_verdicts_of_c_and_python_agree_case_by_case(monkeypatch):
+    """A case that is not in the pack counts on neither side; one that fails in C, or has another error there, does."""
+    cases = [{"max_error": error, "tolerance": 2.0, "ok": error <= 2} for error in (1.0, 9.0, 0.5)]
+    monkeypatch.setattr(runner, "verify", lambda device, stages: iter(cases))
+    monkeypatch.setattr(runner, "open_form", lambda name, form: None)
+    for form, said, error, wanted in (
+        ("cpu", "", 1.0, True),
+        ("cpu", "", 1.001, False),
+        ("cpu", "     wrong: sensor.noise/2, cpu form: three: error 3", 1.0, False),
+        ("cpu", "     wrong: optics.mosaic/2, cpu form: three: error 3", 1.0, True),
+    ):
+        row = runner.judge_stage("sensor.noise", INDEX, results.open_device("numpy"))
+        assert (row["form"], row["cases"], row["left"]) == ("cpu", 2, 1)
+        failed = "sensor.noise" in said
+        found = {"form": form, "cases": 3 - failed, "max_error": error, "tolerance": 2.0}
+        runner.add_verdicts(row, found, said)
+        assert runner.agrees(row) is wanted, said
+    with pytest.raises(DeviceError, match="cases of form gpu"):
+        runner.add_verdicts(row, found | {"form": "gpu"}, "")
 
 
 def verified(title, is_gpu, rows, bits):

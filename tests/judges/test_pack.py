@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 from gpusim.backends import open_device
+from gpusim.backends.pocl import PROCESSORS, WITH_AVX, WITH_AVX512
 from gpusim.bench.pack import write_pack
 from gpusim.bench.recorder import NotRecordable, Recorder
 from gpusim.bench.result import read_result
@@ -157,6 +158,18 @@ def test_mistakes_are_one_line(pack, tmp_path, capsys):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
+def test_a_processor_s_cores_are_the_strips_of_a_frame(tmp_path):
+    """`processor.best` cuts a frame into 4 strips a core, of 64 rows or more: 4 of 160 of 640 rows, then 10 of 64."""
+    sizes = {}
+    for cores in (1, 8):
+        write_pack(tmp_path / str(cores), ["processor.best"], (8, 640), cores=cores)
+        index = (tmp_path / str(cores) / "index.txt").read_text()
+        timed = re.search(r"^case cpu \d+ timed input$.*?^end$", index, re.M | re.S)[0]
+        sizes[cores] = [int(each) for each in re.findall(r"^run \d+ strip 1 (\d+)", timed, re.M)]
+    assert sum(sizes[1]) == 4 and sum(sizes[8]) == 10
+
+
 def test_what_only_kernels_know_cannot_be_read():
     device = Recorder(False, 256, 48 << 10)
     source, target = device.array(np.ones(8)), device.empty((8,))
@@ -170,13 +183,11 @@ def test_what_only_kernels_know_cannot_be_read():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stage, form", [("sensor.noise", "gpu"), ("processor.quantise", "cpu")])
+@pytest.mark.parametrize(
+    "stage, form", [("sensor.noise", "cpu"), ("sensor.noise", "gpu"), ("processor.quantise", "cpu")]
+)
 def test_the_runner_agrees_with_python(stage, form, runner, pack, tmp_path):
-    """As many cases pass as Python's device passes, the numbers are a result, and the bits are the same.
-
-    The noise is that for GPUs: PoCL 3.0 may compile its vectors for another processor, see
-    gpusim/backends/pocl.py, which the runner does not correct.
-    """
+    """As many cases pass as Python's device passes, the numbers are a result, and the bits are the same."""
     path = tmp_path / "result.json"
     found = runner(pack, "--only", stage, "--form", form, "--json", path, "--repeat", 3)
     assert found.returncode == 0, found.stdout + found.stderr
@@ -193,6 +204,44 @@ def test_the_runner_agrees_with_python(stage, form, runner, pack, tmp_path):
     least = row["bytes"] / result["limits"]["copy_gbps"] / 1e6
     assert row["floor_ms"] >= least * (1 - 1e-9)
     assert row["attained"] == pytest.approx(row["floor_ms"] / row["ms_p50"])
+
+
+def test_the_runner_knows_the_processors_that_python_knows():
+    """The tables of pocl.c are those of gpusim/backends/pocl.py, in the same order where it counts."""
+    text = (ROOT / "gpusim/bench/runner/pocl.c").read_text()
+    haswell = re.search(r'HASWELL "(.*)"', text)[1]
+    text = re.sub(
+        r'"\s*\n?\s*"', "", text.partition('HASWELL "')[2].replace('HASWELL "', f'"{haswell}')
+    )
+    found = re.findall(r'\{"([\w-]+)", (?:"(.*?)"|HASWELL)\}', text)
+    assert [(name, set((words or haswell).split())) for name, words in found] == [
+        *PROCESSORS.items()
+    ]
+    for table, names in (("with_avx512", WITH_AVX512), ("with_avx", WITH_AVX)):
+        assert set(re.search(rf'{table} = "(.*?)"', text)[1].split()) == names
+
+
+@pytest.mark.slow
+def test_the_runner_corrects_the_processor_as_python_does(runner, pack):
+    found = runner(pack, "--repeat", 0, "--only", "processor.quantise")
+    named = re.search(r"corrected to (\S+)", found.stdout)
+    assert found.returncode == 0
+    assert (named[1] if named else "") == open_device("opencl:pocl").processor
+
+
+@pytest.mark.slow
+def test_repetitions_fill_a_time(runner, pack):
+    """A row that takes longer than the round has one; of the timed inputs alone."""
+    given = ("--only", "timed", "--form", "gpu", "--rounds", 2, "--json", "-")
+    rows = {}
+    for seconds in (1e-6, 0.2):
+        found = runner(pack, *given, "--seconds", seconds)
+        rows[seconds] = json.loads(found.stdout)["rows"]
+        assert found.returncode == 0 and [row["cases"] for row in rows[seconds]] == [1] * 3
+    for few, many in zip(*rows.values(), strict=True):
+        assert [len(one["ms"]) for one in few["rounds"]] == [1, 1]  # longer than a microsecond
+        assert all(3 < len(one["ms"]) <= 1000 for one in many["rounds"])
+        assert len(many["rounds"]) == 2
 
 
 @pytest.mark.slow
@@ -240,6 +289,7 @@ def test_the_runner_takes_one_kernel_and_refuses_wrong_options(runner, pack, tmp
     for arguments, words in (
         ((pack, "--repeat", "many"), "--repeat many: wanted"),
         ((pack, "--form", "fpga"), "--form fpga: wanted"),
+        ((pack, "--seconds", "0"), "--seconds 0: wanted"),
         ((pack, "--build-options=-x"), "--build-options=-x : wanted"),
         ((pack, "--device", 7), "no OpenCL device 7, there are 1"),
         ((pack, "--only", "optics.mosiac"), "optics.mosiac: nothing has this name"),

@@ -1,7 +1,7 @@
 /* Builds, runs, verifies and times the OpenCL kernels of a pack. README.md describes its format.
  * SPDX-License-Identifier: BSD-3-Clause */
 #define CL_TARGET_OPENCL_VERSION 120
-#define _POSIX_C_SOURCE 199309L
+#define _DEFAULT_SOURCE
 #include <CL/cl.h>
 #include <float.h>
 #include <math.h>
@@ -10,28 +10,32 @@
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
+#ifdef __linux__
+#include <sys/mman.h>
+#endif
 
 enum { WORD = 96, TEXT = 1024, MOST = 1 << 12, BEST_OF = 10, MOST_ROUNDS = 64, NONE = 3,
-       COPY = 0, FMA, LAUNCH, LOCAL, LIMITS };
+       LEAST_RUNS = 3, MOST_RUNS = 1000, PAGE = 4096, HUGE = 1 << 22, COPY = 0, FMA, LAUNCH, LOCAL, LIMITS };
 static const char *const limit_names[LIMITS] = {"copy_gbps", "fma_gflops", "launch_us", "local_gbps"};
 static const double GROSS = 1e-3; /* relative RMS error that no timed input reaches */
 
 typedef struct { char file[2 * WORD]; int registers; cl_program made; char failed[TEXT]; } Program;
 /* A launch; or, without a kernel, a copy: size is the first byte, the byte to copy to, and the number of bytes. */
 typedef struct { cl_kernel kernel; cl_uint axes; size_t size[3], group[3], offset[3]; cl_mem from, to; } Step;
-typedef struct { cl_mem buffers[MOST]; int buffer_count, step_count, is_judged; Step *steps; size_t count;
-                 char type[8], answer_type[8], metric[8]; long place; double tolerance, floor; } Work;
+typedef struct { cl_mem buffers[MOST]; void *stores[MOST]; int buffer_count, step_count, is_judged; Step *steps;
+                 size_t count; char type[8], answer_type[8], metric[8]; long place; double tolerance, floor; } Work;
 typedef struct { char stage[WORD], form[WORD], title[TEXT], why[TEXT], size[WORD], hash[WORD]; long body;
                  int number, width, is_timed, is_limit, is_fp64; double bytes, operations; } Case;
-typedef struct { const Case *timed; Work *work; char failed[2 * TEXT], worst[TEXT];
-                 int skipped, cases; double max_error, tolerance, ratio, rms, *ms, *wall, at[MOST_ROUNDS]; } Row;
+typedef struct { const Case *timed; Work *work; char failed[2 * TEXT], worst[TEXT]; int skipped, cases, runs, ends[MOST_ROUNDS];
+                 double max_error, tolerance, ratio, rms, *ms, *wall, at[MOST_ROUNDS]; } Row;
 static Program *programs; static Case *cases; static Row *rows;
 static int program_count, case_count, row_count;
 static char folder[TEXT] = ".", options[2 * TEXT], pack_hash[WORD], failed[2 * TEXT];
 static FILE *index_file, *data_file, *out, *json;
 static cl_device_id device; static cl_context context; static cl_command_queue queue;
-static int is_gpu, is_small, has_fp64, repeat = 10, round_count = 3;
-static double build_s, limits[LIMITS]; static const char *wanted_form;
+static int is_gpu, is_small, is_host, has_fp64, repeat = -1, round_count = 3;
+static double build_s, seconds = 0.4, limits[LIMITS]; static const char *wanted_form, *processor = "";
+const char *correct_processor(cl_device_id device); /* pocl.c */
 static void die(const char *format, ...) {
     va_list args; va_start(args, format);
     fputs("runner: ", stderr); vfprintf(stderr, format, args); fputc('\n', stderr); va_end(args); exit(2);
@@ -40,10 +44,7 @@ static int ok(cl_int status, const char *what) {
     if (status != CL_SUCCESS) snprintf(failed, sizeof failed, "%s: OpenCL error %d", what, (int)status);
     return status == CL_SUCCESS;
 }
-static void *checked(void *memory) {
-    if (!memory) die("out of memory");
-    return memory;
-}
+static void *checked(void *memory) { if (!memory) die("out of memory"); return memory; }
 static void *grow(void *list, int count, size_t each) {
     if (count && (count & (count - 1))) return list; /* full at powers of 2 */
     return checked(realloc(list, (count ? 2 * (size_t)count : 1) * each));
@@ -58,13 +59,11 @@ static double now(void) {
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 static FILE *open_file(const char *name) {
-    char path[2 * TEXT]; snprintf(path, sizeof path, "%s/%s", folder, name);
-    FILE *file = fopen(path, "rb");
+    char path[2 * TEXT]; snprintf(path, sizeof path, "%s/%s", folder, name); FILE *file = fopen(path, "rb");
     if (!file) die("%s: cannot be read; give the folder of a pack", path);
     return file;
 }
-static void *read_data(long place, size_t bytes) {
-    void *values = checked(malloc(bytes + 1));
+static void *read_data(void *values, long place, size_t bytes) {
     if (fseek(data_file, place, SEEK_SET) || fread(values, 1, bytes, data_file) != bytes)
         die("%s/data.bin: ends too early; unpack it again", folder);
     return values;
@@ -103,8 +102,7 @@ static void read_index(void) {
         } else if (last && begins(line, "fp64", &rest)) last->is_fp64 = 1;
         else if (last && begins(line, "why", &rest)) snprintf(last->why, TEXT, "%s", rest);
         else if (last && begins(line, "timed", &rest))
-            last->is_timed = sscanf(rest, "%95s %lf %lf %95s", last->size, &last->bytes,
-                                    &last->operations, last->hash) == 4;
+            last->is_timed = sscanf(rest, "%95s %lf %lf %95s", last->size, &last->bytes, &last->operations, last->hash) == 4;
     }
 }
 static cl_program build(int number) {
@@ -117,8 +115,11 @@ static cl_program build(int number) {
     int used = snprintf(all, sizeof all, "%s", options);
     if (p->registers && strstr(extensions, "cl_nv_compiler_options"))
         snprintf(all + used, sizeof all - (size_t)used, " -cl-nv-maxrregcount=%d", p->registers);
-    double start = now(); const char *source = text;
-    p->made = clCreateProgramWithSource(context, 1, &source, &length, &status); free(text);
+    double start = now(); char head[2 * WORD]; /* PoCL's cache does not know of the other processor */
+    snprintf(head, sizeof head, *processor ? "typedef int built_for_%s;\n" : "%s", processor);
+    for (char *at = head; *at; ++at) if (*at == '-') *at = '_';
+    const char *texts[] = {head, text}; size_t lengths[] = {strlen(head), length};
+    p->made = clCreateProgramWithSource(context, 2, texts, lengths, &status); free(text);
     if (!ok(status, "clCreateProgramWithSource")) return NULL;
     status = clBuildProgram(p->made, 1, &device, all, NULL, NULL); build_s += now() - start;
     if (status == CL_SUCCESS) return p->made;
@@ -131,16 +132,18 @@ static cl_program build(int number) {
     snprintf(failed, sizeof failed, "%s", p->failed); free(log); clReleaseProgram(p->made); p->made = NULL;
     return NULL;
 }
+/* Processors use whole pages of the host's memory in place, huge ones from 4 MiB on, as gpusim with NumPy does. */
 static int add_buffer(Work *w, const char *line) {
-    size_t bytes = 0; long place = -1; cl_int status;
-    if (sscanf(line, "%zu %ld", &bytes, &place) != 2 || w->buffer_count == MOST) die("index.txt: %s", line);
-    cl_mem made = clCreateBuffer(context, CL_MEM_READ_WRITE, bytes, NULL, &status);
-    if (!ok(status, "clCreateBuffer")) return 0;
-    w->buffers[w->buffer_count++] = made;
-    void *values = place < 0 ? checked(malloc(bytes)) : read_data(place, bytes);
-    if (place < 0) memset(values, 0xff, bytes); /* NaN: a kernel that reads it is found */
-    status = clEnqueueWriteBuffer(queue, made, CL_TRUE, 0, bytes, values, 0, NULL, NULL); free(values);
-    return ok(status, "clEnqueueWriteBuffer");
+    size_t bytes = 0; long place = -1; cl_int status; int n = w->buffer_count;
+    if (sscanf(line, "%zu %ld", &bytes, &place) != 2 || n == MOST) die("index.txt: %s", line);
+    char *store = w->stores[n] = checked(malloc(bytes + PAGE)), *values = store + PAGE - (size_t)store % PAGE;
+#ifdef MADV_HUGEPAGE
+    if (bytes >= HUGE) madvise(values, bytes, MADV_HUGEPAGE);
+#endif
+    if (place < 0) memset(values, 0xff, bytes); else read_data(values, place, bytes); /* NaN: reading it is found */
+    w->buffers[n] = clCreateBuffer(context, is_host ? CL_MEM_USE_HOST_PTR : CL_MEM_COPY_HOST_PTR, bytes, values, &status);
+    if (!is_host) { free(store); w->stores[n] = NULL; }
+    w->buffer_count += 1; return ok(status, "clCreateBuffer");
 }
 static int add_run(Work *w, char *line) {
     char *word = strtok(line, " "); int program = atoi(word); char *name = strtok(NULL, " ");
@@ -167,7 +170,7 @@ static int add_run(Work *w, char *line) {
 }
 static void end_work(Work *w) {
     clFinish(queue);
-    for (int i = 0; w && i < w->buffer_count; ++i) clReleaseMemObject(w->buffers[i]);
+    for (int i = 0; w && i < w->buffer_count; free(w->stores[i++])) if (w->buffers[i]) clReleaseMemObject(w->buffers[i]);
     for (int i = 0; w && i < w->step_count; ++i) if (w->steps[i].kernel) clReleaseKernel(w->steps[i].kernel);
     if (w) free(w->steps);
     free(w);
@@ -224,7 +227,7 @@ static double value_of(const char *type, const void *values, size_t i) {
 static int judge(const Work *w, double *error, double *rms) {
     size_t bytes = w->count * (size_t)(w->type[1] - '0');
     size_t answer = w->count * (size_t)(w->answer_type[1] - '0');
-    void *right = read_data(w->place, answer), *found = checked(malloc(bytes + 1));
+    void *right = read_data(checked(malloc(answer + 1)), w->place, answer), *found = checked(malloc(bytes + 1));
     double largest = 0, local = 0, peak = 0, squares = 0, all = 0;
     int good = !bytes || ok(clEnqueueReadBuffer(queue, w->buffers[0], CL_TRUE, 0, bytes, found, 0, NULL, NULL),
                             "clEnqueueReadBuffer");
@@ -278,7 +281,7 @@ static void verify(Row *row, const Case *c) {
 static int is_asked(const Case *c, const char *only) {
     char line[16 * TEXT], kernel[2 * WORD], numbered[2 * WORD]; const char *rest; int found = 0, n;
     snprintf(numbered, sizeof numbered, "%s/%d", c->stage, c->number);
-    if (!only || !strcmp(only, c->stage) || !strcmp(only, numbered)) return 1;
+    if (!only || !strcmp(only, c->stage) || !strcmp(only, numbered) || (c->is_timed && !strcmp(only, "timed"))) return 1;
     fseek(index_file, c->body, SEEK_SET);
     while (!found && read_line(line, sizeof line) && strcmp(line, "end"))
         found = begins(line, "run", &rest) && sscanf(rest, "%d %191s", &n, kernel) == 2 && !strcmp(kernel, only);
@@ -299,9 +302,7 @@ static void verify_all(const char *only) {
         verify(row, &cases[i]);
     }
 }
-static int by_size(const void *a, const void *b) {
-    double x = *(const double *)a, y = *(const double *)b; return (x > y) - (x < y);
-}
+static int by_size(const void *a, const void *b) { double x = *(const double *)a, y = *(const double *)b; return (x > y) - (x < y); }
 /* As numpy.percentile. */
 static double quantile(const double *values, int count, double share) {
     size_t bytes = (size_t)count * sizeof *values; double *sorted = checked(malloc(bytes)), at = share * (count - 1);
@@ -309,16 +310,21 @@ static double quantile(const double *values, int count, double share) {
     double found = sorted[i] + (at - i) * (sorted[i + 1 < count ? i + 1 : i] - sorted[i]);
     free(sorted); return found;
 }
+/* As gpusim/bench/suite.py: a GPU's clock goes up before, and a row has LEAST_RUNS if it is not slow. */
 static void time_all(void) {
     for (int r = 0; r < round_count && repeat; ++r)
         for (Row *row = rows; row < rows + row_count; ++row) {
-            if (!row->work || row->failed[0]) continue;
-            size_t room = (size_t)round_count * (size_t)repeat * sizeof *row->ms; double ms, wall;
-            if (!r) { row->ms = checked(malloc(room)); row->wall = checked(malloc(room)); }
-            int good = run_work(row->work, &ms, &wall); row->at[r] = (double)time(NULL); /* warm */
-            for (int n = r * repeat; good && n < (r + 1) * repeat; ++n)
-                good = run_work(row->work, &row->ms[n], &row->wall[n]);
-            if (!good) snprintf(row->failed, sizeof row->failed, "%s", failed);
+            int good = row->work && !row->failed[0]; double ms, wall, begun = now(), start;
+            while (good && is_gpu && now() < begun + seconds / 4) good = run_work(row->work, &ms, &wall);
+            row->at[r] = (double)time(NULL); begun = now();
+            for (int n = 1; good && n <= (repeat > 0 ? repeat : MOST_RUNS); ++n) {
+                start = now(); good = run_work(row->work, &ms, &wall);
+                row->ms = grow(row->ms, row->runs, sizeof ms); row->wall = grow(row->wall, row->runs, sizeof wall);
+                row->ms[row->runs] = ms; row->wall[row->runs++] = wall;
+                if (repeat < 0 && now() - begun >= seconds && (n >= LEAST_RUNS || now() - start > seconds)) break;
+            }
+            row->ends[r] = row->runs;
+            if (!good && !row->failed[0]) snprintf(row->failed, sizeof row->failed, "%s", failed);
         }
 }
 /* The best of all widths and repetitions: a rate, or a time [us]; NAN if it cannot be measured. */
@@ -344,30 +350,26 @@ static void put_text(const char *key, const char *text) {
     for (; *text; ++text) fprintf(json, strchr("\"\\", *text) ? "\\%c" : "%c", (unsigned char)*text < 32 ? ' ' : *text);
     fputs("\", ", json);
 }
-static void put(const char *key, double value) {
-    fprintf(json, isfinite(value) ? "\"%s\": %.15g, " : "\"%s\": null, ", key, value);
-}
+static void put(const char *k, double v) { fprintf(json, isfinite(v) ? "\"%s\": %.15g, " : "\"%s\": null, ", k, v); }
 static void put_row(const Row *row, double *attained) {
     static const char *const names[] = {"wall_ms_best", "wall_ms_p20", "wall_ms_p50", "wall_ms_p80"};
-    static const char *const bounds[] = {"memory", "arithmetic", "launches"};
-    static const double shares[] = {0, 0.2, 0.5, 0.8};
-    const Case *c = row->timed; int count = repeat * round_count; char text[4 * WORD], form[2 * WORD] = "";
+    static const char *const bounds[] = {"memory", "arithmetic", "launches"}; static const double shares[] = {0, 0.2, 0.5, 0.8};
+    const Case *c = row->timed; int count = row->runs; char text[4 * WORD], form[2 * WORD] = "";
     if (strcmp(c->form, "cpu") ? !is_gpu : is_gpu) snprintf(form, sizeof form, " (%s form)", c->form);
     snprintf(text, sizeof text, "%.95s %.95s%.120s", c->stage, c->size, form); *attained = NAN;
     fputs("  {", json); put_text("name", text); put_text("kind", "stage");
     snprintf(text, sizeof text, "%.*s", (int)strcspn(c->stage, "."), c->stage); put_text("family", text);
     put_text("size", c->size); put_text("hash", c->hash); put("cases", row->cases); put("skipped", row->skipped);
     fprintf(json, "\"verified\": %s, ", row->failed[0] ? "false" : "true");
-    if (row->failed[0]) put_text("failed", row->failed);
-    else {
+    if (row->failed[0]) put_text("failed", row->failed); else {
         put("rel_rms_error", row->rms); put_text("case", row->worst);
         put("max_error", row->max_error); put("tolerance", row->tolerance);
     }
     if (!row->failed[0] && row->ms) {
         fputs("\"rounds\": [", json);
-        for (int n = 0; n < count; ++n) {
-            if (n % repeat == 0) fprintf(json, "%s{\"at\": %.0f, \"ms\": [", n ? ", " : "", row->at[n / repeat]);
-            fprintf(json, "%.6g%s", row->ms[n], n % repeat == repeat - 1 ? "]}" : ", ");
+        for (int n = 0, r = 0; r < round_count; ++r) {
+            fprintf(json, "%s{\"at\": %.0f, \"ms\": [", r ? ", " : "", row->at[r]);
+            for (; n < row->ends[r]; ++n) fprintf(json, "%.6g%s", row->ms[n], n + 1 < row->ends[r] ? ", " : "]}");
         }
         fputs("], ", json);
         for (int n = 0; n < 4; ++n) put(names[n] + 5, quantile(row->ms, count, shares[n]));
@@ -386,8 +388,7 @@ static void write_json(const char *path, const char *name, const char *driver) {
     char date[WORD], scores[16 * TEXT] = "", *end = scores, next[TEXT + 2]; time_t t = time(NULL);
     double logs = 0, all = 0, attained; int is_file = strcmp(path, "-");
     snprintf(next, sizeof next, "%.1000s~", path); /* complete or absent */
-    json = is_file ? fopen(next, "w") : stdout;
-    if (!json) die("%s: cannot be written", path);
+    json = is_file ? fopen(next, "w") : stdout; if (!json) die("%s: cannot be written", path);
     strftime(date, sizeof date, "%Y-%m-%dT%H:%M:%S+00:00", gmtime(&t));
     fputs("{\"bench\": \"suite\", \"format\": 1, ", json); put_text("device", name); fputs("\n \"machine\": {", json);
     put_text("device", name); put_text("driver", driver); put_text("flags", options);
@@ -413,7 +414,7 @@ static void write_json(const char *path, const char *name, const char *driver) {
     }
 }
 static void show_row(const Row *row) {
-    const Case *c = row->timed; int count = repeat * round_count;
+    const Case *c = row->timed; int count = row->runs;
     if (row->failed[0]) { fprintf(out, "FAIL %-22s %s\n", c->stage, row->failed); return; }
     fprintf(out, "ok   %-22s %-5s %3d cases", c->stage, c->form, row->cases);
     if (row->skipped) fprintf(out, ", %d skipped (no fp64)", row->skipped);
@@ -441,16 +442,19 @@ static void open_device(int wanted, char *name, char *driver) {
     if (wanted >= 0) die("no OpenCL device %d, there are %d; see README.md", wanted, number);
 }
 static void prepare(int wanted, char *name, char *driver) {
+#define ASK(key, value) clGetDeviceInfo(device, CL_DEVICE_##key, sizeof value, &value, NULL)
     cl_int status; cl_device_type type = 0; size_t group = 0; cl_ulong local = 0; cl_device_fp_config fp64 = 0;
-    open_device(wanted, name, driver);
-    clGetDeviceInfo(device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
-    clGetDeviceInfo(device, CL_DEVICE_MAX_WORK_GROUP_SIZE, sizeof group, &group, NULL);
-    clGetDeviceInfo(device, CL_DEVICE_LOCAL_MEM_SIZE, sizeof local, &local, NULL);
-    clGetDeviceInfo(device, CL_DEVICE_DOUBLE_FP_CONFIG, sizeof fp64, &fp64, NULL);
-    has_fp64 = fp64 != 0; is_gpu = (type & CL_DEVICE_TYPE_GPU) != 0; is_small = group < 1024 || local < 48 << 10;
+    cl_bool shared = 0; open_device(wanted, name, driver); const char *corrected = correct_processor(device);
+    if (corrected) processor = corrected;
+    else if (!wanted_form || !strcmp(wanted_form, "cpu"))
+        die("%s: takes this processor for another one, and its vectors are wrong; use --form gpu", driver);
+    if (*processor) snprintf(driver + strlen(driver), TEXT - strlen(driver), ", corrected to %s", processor);
+    ASK(TYPE, type); ASK(MAX_WORK_GROUP_SIZE, group); ASK(LOCAL_MEM_SIZE, local);
+    ASK(DOUBLE_FP_CONFIG, fp64); ASK(HOST_UNIFIED_MEMORY, shared);
+    has_fp64 = fp64 != 0; is_gpu = (type & (CL_DEVICE_TYPE_GPU | CL_DEVICE_TYPE_CPU)) == CL_DEVICE_TYPE_GPU;
+    is_host = !is_gpu && shared; is_small = group < 1024 || local < 48 << 10;
     context = clCreateContext(NULL, 1, &device, NULL, NULL, &status);
-    if (!ok(status, "clCreateContext")) die("%s", failed);
-    queue = clCreateCommandQueue(context, device, CL_QUEUE_PROFILING_ENABLE, &status);
+    if (ok(status, "clCreateContext")) queue = clCreateCommandQueue(context, device, CL_QUEUE_PROFILING_ENABLE, &status);
     if (!ok(status, "clCreateCommandQueue")) die("%s", failed);
     fprintf(out, "%s; %s\n", name, driver);
 }
@@ -462,18 +466,17 @@ int main(int argc, char **argv) {
         const char *key = argv[i], *value = i + 1 < argc ? argv[i + 1] : "";
         long number = strtol(value, &rest, 10); int is_number = *value && !*rest && number >= 0 && number < 100000;
         if (strncmp(key, "--", 2)) { snprintf(folder, sizeof folder, "%s", key); continue; }
-        if (!strcmp(key, "--list")) { is_list = 1; continue; }
-        ++i;
-        if (!strcmp(key, "--only") && *value) only = value;
-        else if (!strcmp(key, "--json") && *value) path = value;
+        if (!strcmp(key, "--list")) { is_list = 1; continue; } else ++i;
+        if (!strcmp(key, "--only") && *value) only = value; else if (!strcmp(key, "--json") && *value) path = value;
         else if (!strcmp(key, "--build-options")) more = value;
         else if (!strcmp(key, "--form") && (!strcmp(value, "cpu") || !strcmp(value, "gpu") || !strcmp(value, "small")))
             wanted_form = value;
         else if (!strcmp(key, "--device") && is_number) wanted = (int)number;
         else if (!strcmp(key, "--repeat") && is_number) repeat = (int)number;
+        else if (!strcmp(key, "--seconds") && *value && (seconds = strtod(value, &rest)) > 0 && !*rest) repeat = -1;
         else if (!strcmp(key, "--rounds") && is_number && number && number <= MOST_ROUNDS) round_count = (int)number;
-        else die("%s %s: wanted runner [FOLDER] [--list] [--device K] [--only STAGE|STAGE/CASE|KERNEL] [--repeat N]\n"
-                 "  [--rounds N] [--form cpu|gpu|small] [--build-options TEXT] [--json FILE]: README.md", key, value);
+        else die("%s %s: wanted runner [FOLDER] [--list] [--device K] [--only STAGE|STAGE/CASE|KERNEL|timed]\n  [--repeat N]"
+                 " [--seconds S] [--rounds N] [--form cpu|gpu|small] [--build-options TEXT] [--json FILE]: README.md", key, value);
     }
     index_file = open_file("index.txt"); data_file = open_file("data.bin"); read_index();
     out = path && !strcmp(path, "-") ? stderr : stdout;
@@ -489,10 +492,8 @@ int main(int argc, char **argv) {
     time_all();
     for (int i = 0; i < row_count; ++i) { show_row(&rows[i]); wrong += rows[i].failed[0] != 0; }
     fprintf(out, "%d passed, %d failed\n", row_count - wrong, wrong);
-    if (path) {
-        for (int n = 0; n < LIMITS; ++n) limits[n] = repeat ? measure_limit(limit_names[n]) : NAN;
-        write_json(path, name, driver);
-    }
+    for (int n = 0; n < LIMITS && path; ++n) limits[n] = repeat ? measure_limit(limit_names[n]) : NAN;
+    if (path) write_json(path, name, driver);
     for (int i = 0; i < row_count; ++i) { end_work(rows[i].work); free(rows[i].ms); free(rows[i].wall); }
     clReleaseCommandQueue(queue); clReleaseContext(context);
     return wrong ? 1 : 0;
