@@ -1,5 +1,6 @@
 """Quadrature of spectral integrals: weights that turn a sum over a scene's wavelengths into the integral."""
 
+import functools
 from collections.abc import Callable
 from math import prod
 
@@ -30,7 +31,14 @@ def product_weights(nodes, *factors: Spectrum) -> np.ndarray:
     """
     grid, product = product_on_grid(nodes, *factors)
     nodes = np.asarray(nodes, np.float64)
-    return product @ (spectral_weights(nodes, grid) if len(nodes) > 1 else np.ones((len(grid), 1)))
+    return product @ _splines(nodes.tobytes(), grid.tobytes())
+
+
+@functools.lru_cache(maxsize=4)  # a preview asks for the same again and again; one has about 1 MB
+def _splines(nodes: bytes, grid: bytes) -> np.ndarray:
+    """Return the cardinal splines of the nodes on a grid, see `spectral_weights`."""
+    at, on = np.frombuffer(nodes), np.frombuffer(grid)
+    return spectral_weights(at, on) if len(at) > 1 else np.ones((len(on), 1))
 
 
 def product_on_grid(nodes, *factors: Spectrum) -> tuple[np.ndarray, np.ndarray]:

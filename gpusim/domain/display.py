@@ -222,10 +222,15 @@ def decoding(display: Display, tone: tuple = ()):
 
     def light(codes):
         wanted = scene.encode(display.decode(np.asarray(codes, np.float64)))
-        low, high = np.full(wanted.shape, x[0]), np.full(wanted.shape, x[-1])
+        place = np.clip(
+            np.searchsorted(y, wanted) - 1, 0, len(x) - 2
+        )  # of the cubic with the value
+        low, high, start = x[place], x[place + 1], x[place]
+        third, second, first, constant = shown.c[:, place]
         for _ in range(STEPS):
             middle = (low + high) / 2
-            above = shown(middle) >= wanted
+            along = middle - start
+            above = ((third * along + second) * along + first) * along + constant >= wanted
             low, high = np.where(above, low, middle), np.where(above, middle, high)
         return scene.decode(high)
 
