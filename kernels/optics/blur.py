@@ -17,6 +17,7 @@ of the kernel out there.
 """
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -120,11 +121,11 @@ def blur_windows(planes: Array, tables: np.ndarray, mix: np.ndarray, device: Dev
     planes, period = device.reshape(planes, (count * windows, rows, cols)), (windows * rows, cols)
     kind = np.complex64 if np.iscomplexobj(tables) else np.float32
     given = np.asarray(tables, kind).tobytes(), tables.shape, np.dtype(kind)
-    tables, mix, sums = _repeated(device, *given, windows, cols), np.asarray(mix, np.float32), None
+    tables, mix = _repeated(device, *given, windows, cols), np.asarray(mix, np.float32)
+    sums: Any = None
     for first in range(0, count, BATCH):
-        size = min(BATCH, count - first)
-        given = first * windows, size * windows, "zero", (rows, cols)
-        spectra = fft.forward_extended(device, planes, *given)
+        size, place = min(BATCH, count - first), first * windows
+        spectra = fft.forward_extended(device, planes, place, size * windows, "zero", (rows, cols))
         spectra = device.reshape(spectra, (size, period[0], *spectra.shape[2:]))
         sums = _add(device, spectra, tables, mix, period, first, sums)
     sums = device.reshape(sums, (len(mix) * windows, rows, *sums.shape[2:]))
