@@ -347,6 +347,37 @@ def _tolerances(result):
     )
 
 
+def _several(result):
+    columns = (
+        "stream",
+        "frames/s",
+        "over one",
+        "between probes",
+        "over one",
+        "probes",
+        "ms of one",
+        "host us",
+        "against one device",
+    )
+    yield _markdown(
+        columns,
+        [
+            (
+                row["name"],
+                _number(row["rate_p50"]),
+                _ratio(row, "rate_over"),
+                _number(row["between_p50"]),
+                _ratio(row, "between_over"),
+                f"{row['probes_p50']:.0f}",
+                _number(row["probe_ms_p50"]),
+                _number(row["host_us_p50"]),
+                row["check"],
+            )
+            for row in result["rows"]
+        ],
+    )
+
+
 def _cells(result):
     for title, columns in result["columns"].items():
         yield title + ":"
@@ -361,6 +392,7 @@ TABLES = {
     "loops": _loops,
     "scaling": _scaling,
     "threads": _threads,
+    "two_devices": _several,
     "peers": _peers,
     "runner": runner_tables,
     "noise": _peers,

@@ -45,6 +45,10 @@ def is_read_on_device(device: Device, scene: Scene) -> bool:
     return not is_fast and LARGE <= content.nbytes <= device.largest_array
 
 
+# planes of sums over wavelength that the planner reads
+SUMS_OF_WINDOWS, SUMS_OF_ROWS = 40, 8
+
+
 def bytes_read_on_device(plan: Plan, device: Device) -> int:
     """Return the device memory that the planner uses to read a scene before the frame [byte].
 
@@ -58,7 +62,13 @@ def bytes_read_on_device(plan: Plan, device: Device) -> int:
         rows * cols
     )
     times = 2 if plan.find(Watch) else 1
-    return 4 * times * (rows * cols + entries * (windows + 2 * cols * len(row_pairs(rows, cols))))
+    bands = len(plan.content.wavelengths)
+    # windows as they are taken, by wavelength, and with their surroundings for transforms
+    planes_of_windows = 2 * bands + (0 if plan.content.is_spectral else entries)
+    in_rows = 2 * cols * len(row_pairs(rows, cols)) * (entries + SUMS_OF_ROWS)
+    floats = rows * cols + windows * planes_of_windows + in_rows
+    # the rows of a probe are taken twice
+    return 4 * (times * floats + windows * SUMS_OF_WINDOWS + in_rows)
 
 
 def store(device: Device, content: Content, window=WHOLE, curve=None):
