@@ -15,6 +15,7 @@ POINTER, COUNT = ctypes.c_void_p, ctypes.POINTER(ctypes.c_size_t)
 FUNCTIONS = {
     "cuPointerGetAttribute": (POINTER, ctypes.c_int, ctypes.c_uint64),
     "cuMemcpyDtoHAsync_v2": (POINTER, ctypes.c_uint64, ctypes.c_size_t, POINTER),
+    "cuEventSynchronize": (POINTER,),
     "cuGraphGetRootNodes": (POINTER, ctypes.POINTER(POINTER), COUNT),
     "cuGraphNodeGetDependentNodes": (POINTER, ctypes.POINTER(POINTER), COUNT),
     "cuGraphKernelNodeGetParams_v2": (POINTER, POINTER),

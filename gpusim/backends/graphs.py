@@ -10,6 +10,7 @@ from itertools import groupby
 from typing import Any
 
 from gpusim.backends.cuda_driver import call_driver
+from gpusim.backends.warp_arrays import capturing
 from gpusim.domain.errors import DeviceError
 
 FEWEST = 2  # kernels of a graph
@@ -79,7 +80,7 @@ class Graph:
     def _capture(self):
         device = self.device
         wp, stream = device._wp, device.capturing
-        with device.wp_device.context_guard, device._lock:
+        with capturing(device.wp_device), device.wp_device.context_guard:
             wp.capture_begin(stream=stream)
             try:
                 for command in self.commands:

@@ -25,6 +25,8 @@ from gpusim.backends.warp_arrays import (
     array_class,
     mark_in,
     wait_for,
+    wait_for_device,
+    wait_for_event,
 )
 from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.memory import CUDA, Pinned, dlpack_kind, name_of
@@ -89,7 +91,7 @@ class WarpDevice(Taped):
         self.array_type = wp.array
         self._as_shown = array_class(wp).of
         self._copies = wp.Stream(self.wp_device) if self.is_gpu else None  # parallel to kernels
-        self.capturing = wp.Stream(self.wp_device) if self.is_gpu else None  # for graphs alone
+        self.capturing = wp.Stream(self.wp_device) if self.is_gpu else None  # for graphs only
         self._landings: defaultdict = defaultdict(list)  # pinned memory that `fetch` uses again
         self._modules: dict = {}  # modules of the stages
         self._natives: dict = {}  # kernels from OpenCL text
@@ -144,7 +146,7 @@ class WarpDevice(Taped):
             else self._wp.get_device(f"cuda:{number}")
         )
         if interface.get("stream") is not None:  # work there may not have ended
-            self._wp.synchronize_device(owner)
+            wait_for_device(self._wp, owner)
         kind = self._wp.dtype_from_numpy(np.dtype(interface["typestr"]))
         return self._wp.array(values, dtype=kind, device=owner, copy=False)
 
@@ -247,7 +249,7 @@ class WarpDevice(Taped):
             event = stream.record_event()
 
         def finish_fetch():
-            wp.synchronize_event(event)
+            wait_for_event(self, event)
             values = np.array(landing.numpy())
             free.append(landing)
             return values
@@ -413,7 +415,7 @@ class WarpDevice(Taped):
         ).mark_modified()
 
     def sync(self):
-        self._wp.synchronize_device(self.wp_device)
+        wait_for_device(self._wp, self.wp_device)
 
     def _collect(self, clock):
         clock.launches += len(clock.events)

@@ -2,9 +2,11 @@
 
 import ctypes
 import functools
+import threading
 
 import numpy as np
 
+from gpusim.backends.cuda_driver import call_driver
 from gpusim.backends.device import Transfer
 
 
@@ -33,12 +35,12 @@ def array_class(wp):
             if not self.device.is_cuda or not self.size:
                 return super().numpy()
             values = np.empty(self.shape, wp.dtype_to_numpy(self.dtype))
-            wp.synchronize_device(self.device)
+            wait_for_device(wp, self.device)
             wp.copy(
                 wp.array(values, dtype=self.dtype, device="cpu", copy=False),
                 self if self.is_contiguous else self.contiguous(),
             )
-            wp.synchronize_device(self.device)
+            wait_for_device(wp, self.device)
             return values
 
         def __getitem__(self, key):
@@ -77,6 +79,26 @@ def wait_for(event, stream):
     """Make later work of a stream wait for an event of any device."""
     with stream.device.context_guard:
         stream.wait_event(event)
+
+
+@functools.cache
+def capturing(device) -> threading.RLock:
+    """Return the lock of a CUDA device that a capture of a graph holds: Warp refuses to wait meanwhile."""
+    return threading.RLock()
+
+
+def wait_for_device(wp, device):
+    """Wait for all work of a device, of every thread."""
+    with capturing(device):
+        wp.synchronize_device(device)
+
+
+def wait_for_event(device, event):
+    """Wait for an event of a WarpDevice, also while another thread captures: only Warp's own function refuses."""
+    if device.has_driver:
+        call_driver("cuEventSynchronize", event.cuda_event)
+    else:
+        device._wp.synchronize_event(event)
 
 
 class Command:
@@ -144,4 +166,4 @@ class Arriving(Transfer):
         return self.array
 
     def wait(self):
-        self.device._wp.synchronize_event(self.event)
+        wait_for_event(self.device, self.event)
