@@ -80,7 +80,7 @@ class Graph:
     def _capture(self):
         device = self.device
         wp, stream = device._wp, device.capturing
-        with capturing(device.wp_device), device.wp_device.context_guard:
+        with capturing(str(device.wp_device)), device.wp_device.context_guard:
             wp.capture_begin(stream=stream)
             try:
                 for command in self.commands:

@@ -81,15 +81,17 @@ def wait_for(event, stream):
         stream.wait_event(event)
 
 
-@functools.cache
-def capturing(device) -> threading.RLock:
-    """Return the lock of a CUDA device that a capture of a graph holds: Warp refuses to wait meanwhile."""
-    return threading.RLock()
+CAPTURES: dict[str, threading.RLock] = {}
+
+
+def capturing(name: str) -> threading.RLock:
+    """Return the lock of a CUDA device of Warp that a capture of a graph holds: Warp refuses to wait meanwhile."""
+    return CAPTURES.setdefault(name, threading.RLock())
 
 
 def wait_for_device(wp, device):
     """Wait for all work of a device, of every thread."""
-    with capturing(device):
+    with capturing(str(device)):  # Warp's devices cannot be keys
         wp.synchronize_device(device)
 
 
