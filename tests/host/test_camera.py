@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.special import jn_zeros
 
+import gpusim as gs
 from gpusim.data.curves import CHANNELS, curve
 from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
+from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.exposure import AutoExposure
@@ -1090,3 +1092,14 @@ def test_names_and_files_that_are_not_there(tmp_path):
     (tmp_path / "bytes.toml").write_bytes(b"\xff\xfe[optics]")
     with pytest.raises(BadFile, match="not TOML"):
         open_camera(tmp_path / "bytes.toml")
+
+
+@pytest.mark.parametrize("key", [f"{one}.{key}" for one, keys in SECTIONS.items() for key in keys])
+def test_any_value_of_any_key_makes_a_camera_or_is_refused_in_a_line(key):
+    camera = gs.open_camera("phone")
+    odd = (0.7, True, "x", [1.0], {"a": 1}, None, [[1.0]], "", float("nan"), -1, 1e300)
+    for value in odd:
+        try:
+            camera.with_(**{key: value})
+        except gs.GpusimError as error:
+            assert "\n" not in str(error)

@@ -197,7 +197,8 @@ def test_a_camera_object_is_changed_as_its_file_is():
         assert repr(given.build()) == repr(camera)
         for control in CONTROLS.values():
             own, written = given.value(control, table_of(camera)), file.value(control, table)
-            assert own == written, control.name
+            # curves and files are objects without a name there
+            assert own == written or (own is None and control.is_text), control.name
             value = (
                 control.choices[random.integers(len(control.choices))]
                 if control.choices

@@ -126,20 +126,23 @@ def test_two_cameras_side_by_side():
         producer.picture(STATE, 3).codes,
         producer.picture(replace(STATE, **other), 3).codes,
     )
-    both = producer.picture(replace(STATE, against=other, split=0.25), 3).codes
+    kept = replace(STATE, snapshots={"B": other}, against="B", split=0.25)
+    both = producer.picture(kept, 3).codes
     assert np.array_equal(both[:, :23], left[:, :23]) and np.array_equal(
         both[:, 25:], right[:, 25:]
     )
     assert np.array_equal(producer.picture(STATE, 3).codes, left)
-    link = replace(STATE, against=other).link()
-    assert State.of_link(link, "phone").other == replace(STATE, **other)
-    stranger = replace(STATE, against={"camera": "/etc/passwd.toml", "changes": {}}).link()
-    assert State.of_link(stranger, "phone").other.camera == "phone"
+    assert State.of_link(kept.link(), "phone").others == (replace(kept.snapshot("B")),)
+    stranger = replace(kept, snapshots={"B": {"camera": "/etc/passwd.toml", "changes": {}}}).link()
+    assert State.of_link(stranger, "phone").others[0].camera == "phone"
     for wrong in (
         '{"against": 3}',
-        '{"against": {"camera": "phone", "changes": {"no": 1}}}',
+        '{"against": "B"}',
+        '{"snapshots": {"B": {"camera": "phone", "changes": {"no": 1}}}}',
         '{"split": 7}',
-        '{"against": {"camera": "phone", "view": "raw", "changes": 4}}',
+        '{"snapshots": {"B": {"camera": "phone", "view": "raw", "changes": 4}}}',
+        '{"snapshots": {"B": {"camera": "phone", "changes": 4}}}',
+        '{"snapshots": {"B": {"camera": 4, "changes": {}}}}',
     ):
         with pytest.raises(BadData, match="link"):
             State.of_link(wrong, "phone")

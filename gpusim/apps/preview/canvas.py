@@ -7,6 +7,7 @@ from nicegui import ui
 from gpusim.apps.preview.crop import enlarge
 from gpusim.apps.preview.session import Session
 
+CLICK = 3.0  # [pixel of the frame] that the mouse may move in a click
 MOUSE = ["mousedown", "mousemove", "mouseup"]  # events of the mouse
 
 
@@ -42,21 +43,25 @@ class Canvas:
         self.at: tuple[int, int] | None = None
         self.edge: tuple[slice, slice] | None = None
         self.measures = False
+        self._count = 1  # pictures side by side
         self._width = shape[1]  # of the picture on the screen [pixel]
         self._held: tuple | None = None  # start of a drag: row, column of the canvas, and the crop
 
     def build(self) -> None:
         """Make the elements."""
         rows, cols = self._shape
-        with ui.element("div").classes("relative w-full"):
+        with ui.element("div").classes("gp-picture") as self._box:
+            self._box.style(f"--gp-aspect: {cols / rows:.6f}")
             self._picture: Any = Picture(f"/picture/{self._token}", cols, rows).on(
                 "size", self._on_size
             )
             # separate, because the image is positioned relative to itself
-            with ui.element("div").classes("absolute inset-0"):
-                self._overlay: Any = ui.interactive_image(
-                    size=(cols, rows), events=MOUSE, on_mouse=self._on_mouse
-                ).props(mark("overlay"))
+            with ui.element("div").classes("absolute inset-0").props("aria-hidden=true"):
+                self._overlay: Any = (
+                    ui.interactive_image(size=(cols, rows), events=MOUSE, on_mouse=self._on_mouse)
+                    .props(mark("overlay"))
+                    .style("width: 100%; height: 100%")
+                )
                 self._overlay.on("wheel.prevent", self._on_wheel, ["deltaY"], throttle=0.1)
 
     def _on_wheel(self, event):
@@ -81,10 +86,23 @@ class Canvas:
             self._set_crop(crop.move(round(down), round(right), self._shape))
         if event.type == "mouseup":
             self._held = None
+            if not self.measures and abs(y - place[0]) + abs(x - place[1]) < CLICK:
+                if self.session.crop is None:
+                    self.zoom(1)
+                else:
+                    self.fit()
+
+    def show_beside(self, count: int) -> None:
+        """Make room for so many pictures side by side."""
+        if count != self._count:
+            self._count = count
+            rows, cols = self._shape
+            self._box.style(f"--gp-aspect: {count * cols / rows:.6f}")
 
     def _find_pixel(self, y, x):
         """Return row and column of the frame at a place of the canvas, in units of the whole frame."""
         corner, size = self._window()
+        x = x * self._count % self._shape[1]
         return tuple(
             min(max(start + int(place * own / n), 0), n - 1)
             for start, place, own, n in zip(corner, (y, x), size, self._shape, strict=True)
@@ -101,7 +119,13 @@ class Canvas:
     def zoom(self, step: int) -> None:
         """Enlarge (step 1) or shrink (-1) the picture around the pointer."""
         at = self.at or (self._shape[0] // 2, self._shape[1] // 2)
-        self._set_crop(enlarge(self.session.crop, step, at, self._shape, self._width))
+        self._set_crop(
+            enlarge(self.session.crop, step, at, self._shape, self._width // self._count)
+        )
+
+    def fit(self) -> None:
+        """Show the whole picture."""
+        self._set_crop(None)
 
     def _set_crop(self, crop):
         if crop != self.session.crop:

@@ -13,17 +13,8 @@ from threading import Thread
 import ipywidgets
 from ipywidgets import HTML, Dropdown, HBox, Layout, VBox
 
-from gpusim.apps.preview.controls import (
-    CONTROLS,
-    GROUPS,
-    LIGHTS,
-    LUMINANCE,
-    OWN,
-    PLACES,
-    TOLERANCES,
-    VIEWS,
-    Control,
-)
+from gpusim.apps.preview.control import PLACES, Control
+from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, LUMINANCE, OWN, TOLERANCES, VIEWS
 from gpusim.apps.preview.curves import histogram
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
 from gpusim.apps.preview.overrides import Given, table_of

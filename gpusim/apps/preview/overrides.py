@@ -1,12 +1,15 @@
 """Settings of a camera that is an object, not a file."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from gpusim.apps.preview.controls import CONTROLS
+import numpy as np
+
 from gpusim.apps.preview.state import State
 from gpusim.domain.camera import Camera
-from gpusim.domain.camera_keys import SECTIONS, section_fields
+from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.errors import BadData
+from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.pupil import Pupil
 
 
 @dataclass(frozen=True)
@@ -26,41 +29,63 @@ class Given(State):
         """Return the camera. Raises GpusimError."""
         camera = self.given
         assert camera is not None
-        zernike = _lists(camera.optics.wavefront.zernike)
-        table = self.apply_changes({"optics": {"zernike_waves": zernike}})
-        optics, sensor, noise, processor = (
-            section_fields(camera.name, table, section)
-            for section in ("optics", "sensor", "noise", "processor")
-        )
-        optics["wavefront"] = replace(camera.optics.wavefront, zernike=optics.pop("zernike"))
-        sensor["noise"] = replace(camera.sensor.noise, **noise)
-        return replace(
-            camera,
-            optics=replace(camera.optics, **optics),
-            sensor=replace(camera.sensor, **sensor),
-            processor=replace(camera.processor, **processor),
+        own = self.own_keys(table_of(camera))
+        return camera.with_(
+            **{
+                f"{section}.{key}": value
+                for section, keys in own.items()
+                for key, value in keys.items()
+            }
         )
 
 
 def table_of(camera: Camera) -> dict:
-    """Return the values of the controls as in a camera file, to 12 digits, for display only."""
-    parts = {
-        "optics": camera.optics,
-        "sensor": camera.sensor,
-        "noise": camera.sensor.noise,
-        "processor": camera.processor,
+    """Return a camera's values as in a camera file, to 12 digits, for display only.
+
+    Curves, maps and files are left out.
+    """
+    optics, sensor = camera.optics, camera.sensor
+    owners = {
+        "optics": (optics.wavefront, optics),
+        "sensor": (sensor,),
+        "noise": (sensor.noise,),
+        "processor": (camera.processor,),
+        "display": (camera.display,),
     }
-    table: dict = {section: {} for section in parts}
-    for control in CONTROLS.values():
-        field, read = SECTIONS[control.section][control.key]
-        owner = camera.optics.wavefront if field == "zernike" else parts[control.section]
-        value = getattr(owner, field)
-        if value is None:
-            value = control.off
-        elif isinstance(value, float):
-            value = float(f"{value / read(1.0):.12g}")  # in the file's unit
-        table[control.section][control.key] = value
+    table: dict = {section: {} for section in owners}
+    for section, keys in SECTIONS.items():
+        for key, (field, read) in keys.items():
+            owner = next((one for one in owners[section] if hasattr(one, field)), None)
+            value = _as_in_file(getattr(owner, field, None), read)
+            if value is not None:
+                table[section][key] = value
     return table
+
+
+def _as_in_file(value, read):
+    """Return a field's value in the file's unit and form; None if it has none."""
+    if isinstance(value, float):
+        one = read(1.0)
+        return float(f"{value / one:.12g}") if isinstance(one, float) else value
+    if isinstance(value, Pupil):
+        turned = float(f"{np.degrees(value.rotation):.12g}")
+        return {
+            "blades": value.blades,
+            "obscuration": value.obscuration,
+            "rotation_deg": turned,
+        }
+    if isinstance(value, AutoExposure):
+        if value == AutoExposure():
+            return None
+        found = {"method": value.method, "level": value.level, "percentile": value.percentile}
+        longest = {} if value.longest is None else {"longest_ms": 1e3 * value.longest}
+        return found | longest | {"most_gain": value.most_gain}
+    if isinstance(value, tuple) and value and all(isinstance(one, float) for one in value):
+        units = read([1.0] * len(value))
+        return [float(f"{one / unit:.12g}") for one, unit in zip(value, units, strict=True)]
+    if isinstance(value, tuple):
+        return _lists(value)
+    return value if isinstance(value, bool | int | str) else None
 
 
 def _lists(value):

@@ -5,7 +5,6 @@ import time
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from math import isfinite
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -13,38 +12,23 @@ from urllib.parse import quote
 from nicegui import app, run, ui
 
 from gpusim.apps.preview.canvas import Canvas, mark
-from gpusim.apps.preview.controls import (
-    CONTROLS,
-    GROUPS,
-    LIGHTS,
-    LUMINANCE,
-    OWN,
-    PLACES,
-    TOLERANCES,
-    VIEWS,
-    Control,
-)
+from gpusim.apps.preview.compare_bar import CompareBar
+from gpusim.apps.preview.comparison import describe_step
+from gpusim.apps.preview.control import Control, as_text
+from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, LUMINANCE, OWN, TOLERANCES, VIEWS
 from gpusim.apps.preview.curves import histogram, response
+from gpusim.apps.preview.fields import Field, Group
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
 from gpusim.apps.preview.measures import SPAN
 from gpusim.apps.preview.session import Session
 from gpusim.apps.preview.sessions import Sessions
 from gpusim.apps.preview.state import State
+from gpusim.apps.preview.style import STYLE
 from gpusim.domain.errors import GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
 
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
-OPEN = ("Exposure", "Lens")  # groups, at first
-QUIET = "text-sm text-neutral-300 font-mono"
-ROW = "w-full items-center gap-2"
 FORMATS = (".png", ".dng", ".exr", ".npz")
-# A control that glides to its new place has the page laid out and painted at every refresh of the
-# screen
-STYLE = """
-.q-slider *, .q-field, .q-field *, .q-checkbox *, .q-focus-helper {
-    transition: none !important; animation: none !important;
-}
-"""
 
 
 class Page:
@@ -55,67 +39,117 @@ class Page:
     ):
         self.session, self._title, self._scene = session, title, scene
         self._canvas = Canvas(session, token, shape)
-        self._fields: dict[str, Any] = {}
+        self._elements: dict[str, Any] = {}
+        self._fields: dict[str, Field] = {}
+        self._groups: list[Group] = []
         self._is_updating = False  # while the page follows the settings, and not they it
-        self._is_step = False  # whether the next change is one, whatever was before
-        self._last_control = ""  # the control that was moved last
-        self._refused = ""  # the control with an error message
+        self._metered: dict = {}  # what the camera chose, by the names of controls
+        self._held: dict = {}  # those of the session that are shown
         self._table: dict = {}
 
     def build(self):
         """Make the page's elements."""
         ui.page_title(f"gpusim: {self._title}")
-        ui.dark_mode(True)
+        self._theme = ui.dark_mode(True)
         ui.add_css(STYLE)
-        ui.query("body").classes("bg-neutral-900")
-        with ui.row(wrap=True).classes("w-full items-start gap-4 p-2"):
-            with ui.column().classes("grow basis-[640px] min-w-[280px] gap-2"):
-                self._build_known()
-                self._build_picture()
+        ui.add_head_html("<script>document.documentElement.lang = 'en'</script>")
+        with ui.element("div").classes("gp-page"):
+            with ui.element("div").classes("gp-head"):
+                self._build_head()
+            with ui.element("div").classes("gp-stage"):
+                self._canvas.build()
+            with ui.element("div").classes("gp-tools"):
+                self._build_tools()
+            below = ui.element("div").classes("gp-below")
+            with below.props('tabindex=0 role=region aria-label="measurements"'):
                 self._build_measures()
-            with ui.column().classes("w-full max-w-[420px] gap-1"):
-                self._build_top()
-                for name, controls in GROUPS.items():
-                    with _group(name):
-                        for control in controls:
-                            self._build_control(control)
-                self._build_scene()
+            with ui.element("div").classes("gp-side"):
+                self._build_side()
         ui.keyboard(on_key=self._on_key)
         ui.timer(0.25, self._refresh)
         ui.timer(0.5, self._statistics)
         self._update_controls()
 
-    def _build_picture(self):
-        self._canvas.build()
-        with ui.row().classes(ROW):
-            view = ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
-            self._keep("view", view.props("dense no-caps"))
-            self._switch("live", "play" if self._is_moving else "live noise", self._live)
+    def _build_head(self):
+        with ui.element("div").classes("gp-bar"):
+            with ui.element("h1").classes("gp-title"):
+                ui.label(self._title)
             self._icon("undo", "undo (Ctrl+Z)", self._undo)
             self._icon("redo", "redo (Ctrl+Y)", self._redo)
+            self._icon("history", "steps, to go back to any of them", self._show_history)
+            self._icon("contrast", "light or dark page", self._theme.toggle)
+            self._icon("fullscreen", "full screen", ui.fullscreen().toggle)
+            with (
+                ui.button("Save", icon="save").props(f"dense flat no-caps {mark('save')}"),
+                ui.menu(),
+            ):
+                ui.menu_item("camera.toml", self._save_camera).props(mark("save camera"))
+                for suffix in FORMATS:
+                    item = ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix))
+                    item.props(mark(f"save {suffix}"))
+                ui.menu_item("link and command line", self._show_link).props(mark("show link"))
+
+    def _build_tools(self):
+        with ui.element("div").classes("gp-bar"):
+            view = ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
+            self._keep("view", view.props("dense no-caps toggle-color=blue-9"))
+            self._switch("live", "play" if self._is_moving else "live noise", self._live)
             self._icon("zoom_out", "smaller (-)", lambda: self._canvas.zoom(-1))
-            larger = "larger, without loss (+); drag to move"
+            larger = "larger, without loss (+); click in the picture; drag to move"
             self._icon("zoom_in", larger, lambda: self._canvas.zoom(1))
+            self._icon("fit_screen", "the whole picture (0)", self._canvas.fit)
             words = "drag over a slanted edge: its frequency response (ISO 12233)"
             self._switch("measure", "edge", self._measure).tooltip(words)
             self._button("error map", "error map", self._error_map)
-        with ui.row().classes(ROW):
             if self._is_moving:
                 self._icon("skip_previous", "frame before (,)", lambda: self._step(-1))
                 self._icon("skip_next", "next frame (.)", lambda: self._step(1))
                 last = self.session.producer.frames - 1
-                self._bar("frame", "frame", last, self._scrub, "grow max-w-[300px]")
-            words = "keep this camera as B, and compare others with it"
-            self._button("set B", "set B", self._set_other).tooltip(words)
-            self._button("swap", "swap A and B", self._swap)
-            self._button("no B", "no B", lambda: self._set(against=None))
-            self._bar("split", "A | B", PLACES, self._split, "w-40")
+                self._bar("frame", "frame", last, self._scrub, "w-60")
+        self._compare = CompareBar(self.session, self._set)
+        for name, classes in (
+            ("error", "gp-wrong"),
+            ("busy", "gp-busy"),
+            ("known", "gp-known"),
+            ("left out", "gp-quiet"),
+        ):
+            self._keep(name, ui.label(), classes)
+
+    def _build_side(self):
+        with ui.element("div").classes("gp-bar"):
+            names = camera_names()
+            own = self.session.state.camera
+            cameras = [*names, *([] if own in names else [own])]
+            self._choice("camera", "camera", cameras, self._camera, "grow")
+            self._choice("tolerance", "tolerance", TOLERANCES, self._tolerance, "grow")
+        search = ui.input(placeholder="search the controls", on_change=self._search)
+        search.props(f'dense clearable {mark("search")} aria-label="search the controls"')
+        search.classes("w-full")
+        for name, controls in GROUPS.items():
+            group = Group(name)
+            self._groups.append(group)
+            with group.element:
+                group.fields = [self._build_control(control) for control in controls]
+        with Group("Light").element:
+            self._choice("light", "light", (OWN, *LIGHTS), self._light)
+            change = partial(self._take_luminance)
+            reset = partial(self._set, luminance=None)
+            self._luminance = Field(LUMINANCE, change, reset, "luminance")
+
+    def _build_control(self, control: Control):
+        change, reset = partial(self._change, control.name), partial(self._reset, control.name)
+        field = self._fields[control.name] = Field(control, change, reset)
+        return field
+
+    def _search(self, event):
+        for group in self._groups:
+            group.search(event.value or "")
 
     # elements
 
     def _keep(self, name, element, classes=""):
         """Register an element: the page finds it by its name, and so do tests."""
-        self._fields[name] = element.classes(classes).props(mark(name))
+        self._elements[name] = element.classes(classes).props(mark(name))
         return element
 
     def _button(self, name, words, does):
@@ -144,97 +178,38 @@ class Page:
     def _is_moving(self):
         return self.session.producer.period > 0
 
-    def _build_known(self):
-        for name, classes in (
-            ("error", "text-red-400"),
-            ("busy", "text-amber-400"),
-            ("known", QUIET),
-            ("left out", "text-xs text-neutral-400"),
-        ):
-            self._keep(name, ui.label(), f"{classes} whitespace-pre-wrap")
-
     def _build_measures(self):
         for name in ("pixel", "histogram", "difference", "edge", "response"):
             if name in ("histogram", "response"):
-                self._fields[name] = ui.html("", sanitize=False).classes("w-full max-w-[640px]")
+                self._elements[name] = ui.html("", sanitize=False).classes("w-full max-w-[640px]")
             else:
-                self._keep(name, ui.label(), QUIET)
-
-    def _build_top(self):
-        with ui.row().classes(ROW):
-            names = camera_names()
-            own = self.session.state.camera
-            cameras = [*names, *([] if own in names else [own])]
-            self._choice("camera", "camera", cameras, self._camera, "grow")
-            self._choice("tolerance", "tolerance", TOLERANCES, self._tolerance, "grow")
-            with ui.button("Save", icon="save").props("dense").props(mark("save")), ui.menu():
-                ui.menu_item("camera.toml", self._save_camera).props(mark("save camera"))
-                for suffix in FORMATS:
-                    item = ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix))
-                    item.props(mark(f"save {suffix}"))
-                ui.menu_item("link and command line", self._show_link).props(mark("show link"))
-
-    def _build_scene(self):
-        with _group("Light"):
-            self._choice("light", "light", (OWN, *LIGHTS), self._light)
-            self._slider("luminance", LUMINANCE, self._luminance)
-
-    def _build_control(self, control: Control):
-        def on_change(value):
-            self._change_setting(control, value)
-
-        if control.choices:
-            self._choice(control.name, control.label, control.choices, on_change)
-        else:
-            self._slider(control.name, control, on_change)
-
-    def _slider(self, name, control, on_change):
-        with ui.row(wrap=False).classes(f"{ROW} -my-1"):
-            is_on = None
-            if control.off is not None:
-                is_on = ui.checkbox(
-                    on_change=lambda event: self._turn_on(control, event.value, slider.value)
-                )
-                is_on.props("dense").props(mark(f"{name} on"))
-            ui.label(control.label).classes("w-24 text-sm shrink-0")
-
-            def slid(place):
-                self._slide(on_change, control.to_value(place))
-
-            slider = self._bar(name, control.label, PLACES, slid, "grow")
-            number = ui.number(suffix=control.unit or None).classes("w-28 shrink-0")
-            number.props("dense borderless").props(mark(f"{name} number"))
-            number.on("change", lambda: self._take_number(on_change, number.value))
-        self._fields[name] = (slider, number, is_on, control)
+                self._keep(name, ui.label(), "gp-known")
 
     # actions of the controls
 
-    def _slide(self, on_change, value):
-        if not self._is_updating:
-            on_change(value)
+    def _change(self, name, value, is_step):
+        """Take a value of a control. is_step: whether it is a step of its own, unlike a slider's."""
+        if self._is_updating:
+            return
+        self.session.set(self.session.state.change(name, value), name, is_step)
+        self._update_controls(name)
 
-    def _take_number(self, on_change, value):
-        """Take a typed number, as a separate step of the history."""
-        self._is_step = True
-        if value is not None and isfinite(value):
-            on_change(float(value))
-        else:
+    def _reset(self, name):
+        self.session.held.pop(name, None)
+        if name in self.session.state.changes:
+            self.session.set(self.session.state.reset(name))
+        self._update_controls()
+
+    def _take_luminance(self, value, is_step):
+        if not self._is_updating:
+            state = replace(self.session.state, luminance=value)
+            self.session.set(state, "luminance", is_step)
             self._update_controls()
-
-    def _turn_on(self, control, is_on, place):
-        if not self._is_updating:
-            self._change_setting(control, control.to_value(place) if is_on else control.off)
-
-    def _change_setting(self, control, value):
-        self._set(control.name, changes={**self.session.state.changes, control.name: value})
 
     def _set(self, by="", **changes):
         if self._is_updating:
             return
-        if by in self._fields:
-            self._last_control = by
-        self.session.set(replace(self.session.state, **changes), "" if self._is_step else by)
-        self._is_step = False
+        self.session.set(replace(self.session.state, **changes), by)
         self._update_controls(by)
 
     def _camera(self, name):
@@ -245,12 +220,6 @@ class Page:
 
     def _light(self, name):
         self._set(light=None if name == OWN else name)
-
-    def _luminance(self, value):
-        self._set("luminance", luminance=value)
-
-    def _split(self, place):
-        self._set("split", split=place / PLACES)
 
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
@@ -265,15 +234,6 @@ class Page:
         if number is not None and number != self.session.number:
             self._set("frame", is_live=False, frame=int(number))
 
-    def _set_other(self):
-        state = self.session.state
-        self._set(against={"camera": state.camera, "changes": state.changes})
-
-    def _swap(self):
-        state = self.session.state
-        if state.against:
-            self._set(**state.against, against={"camera": state.camera, "changes": state.changes})
-
     def _undo(self):
         self._step_history(self.session.history.undo)
 
@@ -281,9 +241,26 @@ class Page:
         self._step_history(self.session.history.redo)
 
     def _step_history(self, step):
-        if step():
-            self.session.touch()
+        if self.session.step(step):
             self._update_controls()
+
+    def _show_history(self):
+        states, at = self.session.history.steps
+        with ui.dialog(value=True) as dialog, ui.card().props(mark("steps")):
+            with ui.column().classes("gap-0 max-h-[70vh] overflow-y-auto"):
+                for place in reversed(range(len(states))):
+                    words = (
+                        describe_step(states[place - 1], states[place]) if place else "the start"
+                    )
+                    button = ui.button(words, on_click=partial(self._go_to, dialog, place))
+                    color = "primary" if place == at else "secondary"
+                    button.props(
+                        f"flat dense no-caps align=left color={color} {mark(f'step {place}')}"
+                    )
+
+    def _go_to(self, dialog, place):
+        dialog.close()
+        self._step_history(partial(self.session.history.go_to, place))
 
     def _on_key(self, event):
         if not event.action.keydown or (event.action.repeat and event.key == " "):
@@ -296,6 +273,8 @@ class Page:
             self._set(view=VIEWS[int(event.key.name) - 1])
         elif event.key.name in ("+", "-"):
             self._canvas.zoom(1 if event.key.name == "+" else -1)
+        elif event.key.name == "0":
+            self._canvas.fit()
         elif event.key.name in (",", ".") and self._is_moving:
             self._step(1 if event.key.name == "." else -1)
 
@@ -326,70 +305,71 @@ class Page:
         state = self.session.state
         if only in ("split", "frame"):
             return
-        if only not in CONTROLS:
-            try:
-                _, self._table = camera_table(state.camera)
-            except GpusimError:
-                return
         self._is_updating = True
         try:
-            for control in [CONTROLS[only]] if only in CONTROLS else CONTROLS.values():
-                self._show(control.name, state.value(control, self._table))
+            if only not in CONTROLS:
+                _, self._table = camera_table(state.camera)
+            for name in [only] if only in CONTROLS else CONTROLS:
+                self._show(name)
             if only in CONTROLS:
                 return
-            self._show("luminance", state.luminance)
+            given = state.luminance is not None
+            self._luminance.show(state.luminance, given)
             for name in ("view", "camera", "tolerance"):
-                self._fields[name].value = getattr(state, name)
-            self._fields["live"].value = state.is_live
-            self._fields["light"].value = state.light or OWN
-            for name in ("swap", "no B", "split"):
-                self._fields[name].visible = state.against is not None
-            self._fields["split"].value = PLACES * state.split
+                self._elements[name].value = getattr(state, name)
+            self._elements["live"].value = state.is_live
+            self._elements["light"].value = state.light or OWN
+            self._compare.show()
             if self._is_moving:
-                self._fields["frame"].value = state.frame
+                self._elements["frame"].value = state.frame
+        except GpusimError:
+            return  # of the camera's file; the picture says it
         finally:
             self._is_updating = False
 
-    def _show(self, name, value):
+    def _show(self, name):
+        """Show a control: its value, one that is not used with the reason, and what the camera chose."""
+        state, held = self.session.state, self.session.held.get(name)
         field = self._fields[name]
-        if not isinstance(field, tuple):
-            field.value = value
-            return
-        slider, number, is_on, control = field
-        there = isinstance(value, int | float) and value != control.off
-        if there:
-            place = control.to_place(value)
-            if slider.value != place:
-                slider.value = place
-        number.value = value if there else None
-        if is_on is not None:
-            is_on.value = there
+        value = held.value if held else state.value(field.control, self._table)
+        metered = self._metered.get(name) if value == field.control.off else None
+        field.show(value, name in state.changes, held.reason if held else "", metered)
 
     def _refresh(self):
         session = self.session
         session.used = time.monotonic()
-        self._fields["error"].text = session.error
-        wrong = self._last_control if session.error else ""
-        if wrong != self._refused:
-            for name, error in ((self._refused, None), (wrong, session.error)):
-                if name:
-                    field = self._fields[name]
-                    (field[1] if isinstance(field, tuple) else field).error = error
-            self._refused = wrong
+        held = dict(session.held)
+        self._elements["error"].text = session.error or "; ".join(
+            f"{CONTROLS[name].label} = {as_text(one.value)} is not used: {one.reason}"
+            for name, one in held.items()
+        )
+        changed = {
+            name for name in {**held, **self._held} if held.get(name) != self._held.get(name)
+        }
+        self._held = held
         waits = 0.0 if session.begun is None else time.monotonic() - session.begun
-        self._fields["busy"].text = f"computing since {waits:.0f} s" if waits > PATIENT else ""
+        self._elements["busy"].text = f"computing since {waits:.0f} s" if waits > PATIENT else ""
         shown = session.shown
-        if shown is None:
-            return
+        if shown is not None:
+            if shown.facts["metered"] != self._metered:
+                self._metered = shown.facts["metered"]
+                changed |= {*self._metered}
+            self._show_facts(shown)
+        for name in changed:
+            self._show(name)
+
+    def _show_facts(self, shown):
+        session = self.session
+        self._canvas.show_beside(shown.count)
         if self._is_moving and session.state.is_live:
             self._is_updating = True
-            self._fields["frame"].value = shown.number
+            self._elements["frame"].value = shown.number
             self._is_updating = False
-        self._fields["known"].text = (
+        self._elements["known"].text = (
             f"frame {shown.number}  {session.rate:4.1f} fps  {session.latency:4.0f} ms  made in {shown.ms:4.0f} ms  "
             f"{describe_exposure(shown.facts)}"
         )
-        self._fields["left out"].text = describe_plan(shown.facts)
+        self._elements["left out"].text = describe_plan(shown.facts)
 
     async def _statistics(self):
         session = self.session
@@ -406,23 +386,23 @@ class Page:
             )
         except Exception:
             return  # the picture says it, also of a device that fails
-        self._fields["histogram"].content = histogram(found)
+        self._elements["histogram"].content = histogram(found)
         if pixel := found.get("pixel"):
-            self._fields["pixel"].text = (
+            self._elements["pixel"].text = (
                 f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
                 f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB"
             )
         difference = ""
         if "difference" in found:
             difference = f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
-        self._fields["difference"].text = difference
+        self._elements["difference"].text = difference
         edge = found.get("edge", {})
         text, curve = edge.get("why", ""), ""
         if "mtf50" in edge:
             text = f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees"
             curve = response(edge)
-        self._fields["edge"].text = text
-        self._fields["response"].content = curve
+        self._elements["edge"].text = text
+        self._elements["response"].content = curve
 
     # saved files
 
@@ -448,12 +428,6 @@ class Page:
             ui.label("The same on the command line, with the camera saved next to it:")
             ui.code(state.command(self._scene)).props(mark("command"))
         dialog.open()
-
-
-def _group(name):
-    """Return a group of controls that can be folded."""
-    group = ui.expansion(name, value=name in OPEN)
-    return group.classes("w-full").props(mark(f"group {name}"))
 
 
 @contextmanager

@@ -39,7 +39,7 @@ const work = () => {
 };
 
 export default {
-  template: `<canvas style="display:block;width:100%;height:auto"></canvas>`,
+  template: `<canvas role="img" aria-label="the picture" style="display:block;width:100%;height:auto"></canvas>`,
   emits: ["size"],
   props: { url: String, width: Number, height: Number },
   mounted() {

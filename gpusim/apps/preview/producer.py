@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gpusim.apps.preview.comparison import compare
 from gpusim.apps.preview.measures import edge, error_map, light, on_host
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Scenes
@@ -33,13 +34,14 @@ NUMBERS = 2**32  # of frames of a scene that does not move
 class Picture:
     """A picture: codes, uint8 (rows, cols, 3).
 
-    number: of the frame. ms: time it took. facts: data for the page.
+    number: of the frame. ms: time it took. facts: data for the page. count: pictures side by side.
     """
 
     codes: np.ndarray
     number: int
     ms: float
     facts: dict = field(default_factory=dict)
+    count: int = 1
 
 
 class Producer:
@@ -68,7 +70,7 @@ class Producer:
         self._shown: tuple = (None, None)  # number and scene
         self._arriving, self._next = scenes.between(0, 0), -1
         self._lit: tuple = (None, None, None, None)
-        self._other: Producer | None = None
+        self._others: list[Producer] = []
         self._checker: tuple = (None, None)
 
     def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
@@ -98,16 +100,21 @@ class Producer:
             "unknown": verdict.unknown if verdict else account.unknown,
             "exposure": exposure.exposure_time,
             "gain": exposure.gain,
+            "metered": {
+                "sensor.exposure_time_ms": 1e3 * exposure.exposure_time,
+                "sensor.gain_dn_per_e": exposure.camera.sensor.gain_dn_per_electron,
+            },
         }
-        if state.other is None:
-            self._other = None  # frees its memory on the device
-        else:
-            other = self._other or Producer(self._scenes, self._device, capture=self._capture)
-            self._other = other
-            codes = _beside(
-                codes, self._other.picture(state.other, number, drafts).codes, state.split
-            )
-        return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
+        others = state.others
+        del self._others[len(others) :]  # frees their memory on the device
+        while len(self._others) < len(others):
+            self._others.append(Producer(self._scenes, self._device, capture=self._capture))
+        if others:
+            pairs = zip(self._others, others, strict=True)
+            shown = [own.picture(other, number, drafts).codes for own, other in pairs]
+            codes = compare(codes, shown, state.compare, state.split)
+        count = 1 + len(others) if state.compare == "side by side" else 1
+        return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts, count)
 
     def frame(self, state: State, number: int) -> Frame:
         """Return a frame to save, from a new simulator, as of `gpusim simulate`.
@@ -284,19 +291,6 @@ class _Shown:
 def _encode(light):
     """Return codes of light, 1 for white."""
     return np.uint8(255 * np.clip(light, 0, 1) ** (1 / RAW_GAMMA) + 0.5)
-
-
-def _beside(codes, others, split):
-    """Return one picture on the left of a line, and another on its right."""
-    if codes.shape != others.shape:
-        raise BadData(
-            f"the other camera's frame has {others.shape[1]}x{others.shape[0]} pixels; wanted "
-            f"{codes.shape[1]}x{codes.shape[0]}, as this one's has"
-        )
-    at = round(split * codes.shape[1])
-    codes = np.concatenate([codes[:, :at], others[:, at:]], axis=1)
-    codes[:, max(at - 1, 0) : at + 1] = 255
-    return codes
 
 
 def _grey(values):

@@ -8,10 +8,14 @@ import io
 import struct
 import time
 from collections import deque
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from gpusim.apps.preview.controls import CONTROLS
 from gpusim.apps.preview.crop import Crop
 from gpusim.apps.preview.producer import Picture, Producer
 from gpusim.apps.preview.state import History, State
@@ -27,8 +31,22 @@ JPEG, PNG = 0, 1
 DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # only one thread at a time uses a device
 
 
+@dataclass(frozen=True)
+class Held:
+    """A value of a control that makes no picture with the other settings, and the reason."""
+
+    value: Any
+    reason: str
+
+
 class Session:
-    """Settings and pictures of a client. error: error of the last settings, or ""."""
+    """Settings and pictures of a client.
+
+    Attributes:
+        error: Error of the last settings, or "".
+        held: Name of a control -> its Held. The other settings go on without it, and it is tried
+            again with each change of them.
+    """
 
     def __init__(self, producer: Producer, state: State):
         self.history, self.producer = History(state), producer
@@ -36,6 +54,10 @@ class Session:
         self.shown: Picture | None = None
         self.crop: Crop | None = None  # part that is shown; None: all
         self.error = ""
+        self.held: dict[str, Held] = {}
+        self._moved = ""  # the control that was moved last
+        self._tried = -1  # version of the settings with which held values were tried
+        self._good: State | None = None  # settings of the last picture
         self.begun: float | None = None  # when the picture that is being made was begun
         self.used = time.monotonic()
         self._touched = -STILL  # when the settings were changed last
@@ -48,10 +70,24 @@ class Session:
         """The present settings."""
         return self.history.state
 
-    def set(self, state: State, by: str = ""):
-        """Take other settings. by: the slider that moves; "" for a separate step of the history."""
-        self.history.set(state, by)
+    def set(self, state: State, by: str = "", is_step: bool = False):
+        """Take other settings.
+
+        by: the control that was moved. Its movements are one step of the history, unless `is_step`.
+        """
+        self.history.set(state, "" if is_step else by)
+        self.held.pop(by, None)
+        self._moved = by
         self.touch()
+
+    def step(self, step: Callable[[], bool]) -> bool:
+        """Undo or redo: go a step of the history. Return whether there was one."""
+        if not step():
+            return False
+        self.held.clear()
+        self._moved = ""
+        self.touch()
+        return True
 
     def touch(self):
         """Request another picture."""
@@ -157,7 +193,9 @@ class Session:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, kind, data = await self.compute(self._encode, state, self.number, crop, settles)
+            shown, kind, data = await self.compute(
+                self._find_picture, state, version, crop, settles
+            )
         except GpusimError as error:
             self.error = str(error)
             return None
@@ -169,13 +207,55 @@ class Session:
         self.shown, self.error = shown, ""
         return HEAD.pack(shown.number, version % 2**32, kind) + data
 
-    def _encode(self, state, number, crop, settles):
+    def _find_picture(self, state, version, crop, settles):
+        """Return a picture of the settings, without a control's value that makes none."""
+        if self.held and self._tried != version:
+            self._tried = version
+            values = {name: held.value for name, held in self.held.items()}
+            whole = state
+            for name, value in values.items():
+                whole = whole.change(name, value)
+            try:
+                found = self._encode(whole, crop, settles)
+            except GpusimError:
+                pass  # its reason stands beside the control
+            else:
+                self.held = {}
+                self._take(state, whole)
+                return found
+        try:
+            found = self._encode(state, crop, settles)
+        except GpusimError as error:
+            name, good = self._moved, self._good
+            if good is None or name not in CONTROLS or name not in state.changes:
+                raise
+            without = state.reset(name)
+            if name in good.changes:
+                without = without.change(name, good.changes[name])
+            found = self._encode(without, crop, settles)
+            self.held = {**self.held, name: Held(state.changes[name], str(error))}
+            self._tried = version
+            self._take(state, without)
+            return found
+        self._good = state
+        return found
+
+    def _take(self, state, other):
+        """Put other settings in the place of `state`, if they are still the present ones."""
+        self._good = other
+        if self.state is state:
+            self.history.replace(other)
+
+    def _encode(self, state, crop, settles):
         import simplejpeg
 
-        shown = self.shown
+        shown, number = self.shown, self.number
         if not settles or shown is None or shown.facts.get("draft"):
             shown = self.producer.picture(state, number, drafts=self._moves and not settles)
-        codes = shown.codes if crop is None else shown.codes[crop.part]
+        codes = shown.codes
+        if crop is not None:
+            parts = np.split(codes, shown.count, axis=1)
+            codes = np.concatenate([part[crop.part] for part in parts], axis=1)
         if settles or crop is not None:
             return shown, PNG, _png(codes)
         return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)

@@ -7,12 +7,21 @@ from shlex import join
 from time import monotonic
 from typing import Any
 
-from gpusim.apps.preview.controls import CONTROLS, TOLERANCES, VIEWS, Control
+from gpusim.apps.preview.control import Control
+from gpusim.apps.preview.controls import CONTROLS, TOLERANCES, VIEWS
 from gpusim.data.lights import BRIGHTEST
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
-from gpusim.io.camera.cameras import anchor_paths, camera_of, camera_table
+from gpusim.io.camera.cameras import (
+    REPLACED,
+    anchor_paths,
+    camera_of,
+    camera_table,
+    override_keys,
+)
 
+COMPARISONS = ("split", "side by side", "difference", "blink")
+MOST_SNAPSHOTS, MOST_BESIDE = 8, 3
 MOST_STEPS, REST = 200, 1.0  # of undo; [s] after which a slider that moves again makes another
 LONGEST_LINK = 8192  # [character]
 
@@ -29,8 +38,10 @@ class State:
         view: One of VIEWS.
         is_live: Whether noise and moving scenes run.
         seed, frame: Seed of the noise, and number of the frame while nothing runs.
-        against: `camera` and `changes` of a second camera, shown right of `split` of the width.
-            None: no second one.
+        snapshots: Name -> `camera` and `changes` of a camera that was kept.
+        against: Name of the snapshot that is compared with. None: nothing is compared.
+        compare: One of COMPARISONS.
+        split: Part of the width left of which this camera's picture is shown.
     """
 
     camera: str
@@ -42,13 +53,30 @@ class State:
     is_live: bool = True
     seed: int = 0
     frame: int = 0
-    against: dict[str, Any] | None = None
+    snapshots: dict[str, dict[str, Any]] = field(default_factory=dict)
+    against: str | None = None
+    compare: str = "split"
     split: float = 0.5
 
     @property
-    def other(self) -> "State | None":
-        """The state of the second camera, or None."""
-        return None if self.against is None else replace(self, **self.against, against=None)
+    def others(self) -> tuple["State", ...]:
+        """The states whose pictures are shown with this one: one, or up to MOST_BESIDE - 1 side by side."""
+        if self.against is None:
+            return ()
+        names = [self.against, *(name for name in self.snapshots if name != self.against)]
+        shown = names[: MOST_BESIDE - 1] if self.compare == "side by side" else names[:1]
+        return tuple(map(self.snapshot, shown))
+
+    def keep(self, name: str) -> "State":
+        """Return a state that keeps this camera as a snapshot, and compares with it."""
+        one = {"camera": self.camera, "changes": self.changes}
+        return replace(self, snapshots={**self.snapshots, name: one}, against=name)
+
+    def drop(self, name: str) -> "State":
+        """Return a state without a snapshot."""
+        kept = {one: value for one, value in self.snapshots.items() if one != name}
+        against = self.against if self.against != name else next(iter(kept), None)
+        return replace(self, snapshots=kept, against=against)
 
     def value(self, control: Control, table: dict) -> Any:
         """Return the value of a control: set, of the camera file, or its default."""
@@ -56,33 +84,49 @@ class State:
             return self.changes[control.name]
         if control.named:
             return next(iter(control.named))  # the file's own
-        given = table.get(control.section, {}).get(control.key, control.default)
-        return given if control.item is None else _long(given, control)[control.item]
+        given = table.get(control.section, {}).get(control.key)
+        if given is None and control.item is None:
+            return control.default
+        return control.value_in(given)
+
+    def change(self, name: str, value: Any) -> "State":
+        """Return a state with another value of a control, without the changes that it replaces."""
+        control = CONTROLS[name]
+        replaced = REPLACED.get(control.section, {}).get(control.key, ())
+        gone = {f"{control.section}.{key}" for key in replaced} | {name}
+        if control.item is None:  # the whole list replaces its items
+            gone |= {one for one in self.changes if one.startswith(f"{name}.")}
+        kept = {one: value for one, value in self.changes.items() if one not in gone}
+        return replace(self, changes=kept | {name: value})
+
+    def reset(self, name: str) -> "State":
+        """Return a state in which a control has the camera file's value again."""
+        kept = {one: value for one, value in self.changes.items() if one != name}
+        return replace(self, changes=kept)
 
     def table(self) -> dict:
         """Return the camera file's table with the changes and absolute file names.
 
         Raises BadFile, UnknownName.
         """
-        return self.apply_changes(anchor_paths(*camera_table(self.camera)))
+        below = anchor_paths(*camera_table(self.camera))
+        return override_keys(below, self.own_keys(below))
 
-    def apply_changes(self, table: dict) -> dict:
-        """Return a camera file's table with the changes.
+    def own_keys(self, table: dict) -> dict[str, dict]:
+        """Return the changed keys by their sections. table: the camera file's.
 
         Raises BadData or OutOfRange for a value.
         """
+        own: dict[str, dict] = {}
         for name, value in self.changes.items():
             control = CONTROLS[name]
             control.check(value)
             if control.named and (value := control.named[value]) is None:
                 continue
-            section = table.setdefault(control.section, {})
-            if control.item is not None:
-                section[control.key] = _long(section.get(control.key, control.default), control)
-                section[control.key][control.item] = value
-            else:
-                section[control.key] = value
-        return table
+            section = own.setdefault(control.section, {})
+            given = section.get(control.key, table.get(control.section, {}).get(control.key))
+            section[control.key] = control.put_in(given, value)
+        return own
 
     def build(self) -> Camera:
         """Return the camera. Raises as `open_camera` does."""
@@ -112,20 +156,24 @@ class State:
     @property
     def is_sound(self) -> bool:
         """Return whether all fields have their types, and values that the page can set."""
-        one, numbers, other = self.luminance, (self.seed, self.frame), self.against
+        one, numbers, kept = self.luminance, (self.seed, self.frame), self.snapshots
         return (
             isinstance(self.camera, str)
             and isinstance(self.changes, dict)
             and self.changes.keys() <= {*CONTROLS}
-            and not any(isinstance(value, list | dict | None) for value in self.changes.values())
+            and not any(_names_file(value) for value in self.changes.values())
             and (self.light is None or isinstance(self.light, str))
             and (one is None or (type(one) in (int, float) and 0 < one <= BRIGHTEST))
             and self.tolerance in TOLERANCES
             and self.view in VIEWS
             and isinstance(self.is_live, bool)
             and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
-            and isinstance(other, dict | None)
-            and (other or {}).keys() <= {"camera", "changes"}
+            and isinstance(kept, dict)
+            and len(kept) <= MOST_SNAPSHOTS
+            and all(isinstance(each, dict) for each in kept.values())
+            and all(each.keys() == {"camera", "changes"} for each in kept.values())
+            and (self.against is None or self.against in kept)
+            and self.compare in COMPARISONS
             and type(self.split) in (int, float)
             and 0 <= self.split <= 1
         )
@@ -148,20 +196,33 @@ class State:
                 raise ValueError
             found = {"camera": camera} | json.loads(text)
             state = cls(**found)
-            known = state.is_sound and (state.other or state).is_sound
+            known = state.is_sound and all(
+                state.snapshot(name).is_sound for name in state.snapshots
+            )
         except (ValueError, TypeError, RecursionError):  # RecursionError: of JSON, lists in lists
             known = False
         if not known:
             raise BadData("link: not one of this preview's; wanted one that its page made")
         # a link may come from anybody: it names no files of this machine
-        if state.against and Path(state.against.get("camera", "")).suffix:
-            state = replace(state, against=state.against | {"camera": camera})
+        kept = {
+            name: one | {"camera": camera} if Path(one["camera"]).suffix else one
+            for name, one in state.snapshots.items()
+        }
+        state = replace(state, snapshots=kept)
         return replace(state, camera=camera) if Path(state.camera).suffix else state
 
+    def snapshot(self, name: str) -> "State":
+        """Return the state with the camera of a snapshot."""
+        return replace(self, **self.snapshots[name], snapshots={}, against=None)
 
-def _long(given, control):
-    """Return a list with a place for a control's item."""
-    return [*given, *control.default[len(given) :]]
+
+def _names_file(value):
+    """Return whether a value of a link contains the name of a file."""
+    if isinstance(value, dict):
+        return any(map(_names_file, value.values()))
+    if isinstance(value, list):
+        return any(map(_names_file, value))
+    return isinstance(value, str) and (bool(Path(value).suffix) or "/" in value or "\\" in value)
 
 
 _DEFAULTS = {key: value for key, value in asdict(State("")).items() if key != "camera"}
@@ -195,6 +256,19 @@ class History:
     def redo(self) -> bool:
         """Go a step forward. Return whether there was one."""
         return self._go(1)
+
+    def replace(self, state: State):
+        """Change the present state, not as a step."""
+        self._states[self._at] = state
+
+    @property
+    def steps(self) -> tuple[list[State], int]:
+        """All states, and the position of the present one."""
+        return self._states, self._at
+
+    def go_to(self, place: int) -> bool:
+        """Go to the state at a position. Return whether there is one."""
+        return self._go(place - self._at)
 
     def _go(self, step):
         self._last = "", 0.0

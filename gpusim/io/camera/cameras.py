@@ -53,7 +53,7 @@ from gpusim.io.files import name_in_errors, read_cells, read_text, reading
 _FOLDER = Path(str(resources.files("gpusim.data")), "cameras")
 BASE = "phone"  # camera of an empty file
 # Keys that exclude each other: a key of a file removes these of its base
-REPLACED = {
+REPLACED: dict[str, dict[str, tuple[str, ...]]] = {
     "optics": {
         "defocus_um": ("defocus_diopters",),
         "defocus_diopters": ("defocus_um",),
@@ -135,12 +135,22 @@ def camera_table(name_or_path) -> tuple[Path, dict]:
     (path, table), *bases = _chain(name_or_path)
     name = table.pop("name", path.stem)
     for file, below in bases:
-        own, is_new = table.get("processor", {}), "cfa" in _section(table, "sensor")
-        base = _section(below, "sensor")
-        table = _merge_keys(anchor_paths(file, below), table)
-        if is_new and "cfa" in base:
-            table = _fit_processor(table, own, base["cfa"])
+        table = override_keys(anchor_paths(file, below), table)
     return path, {**table, "name": name}
+
+
+def override_keys(below: dict, table: dict) -> dict:
+    """Return a camera's table with the keys of `table` in place of its own.
+
+    A key also removes those that exclude it. A new mosaic also changes the keys of [processor] that
+    would not fit, except for those in `table`.
+    """
+    own, is_new = table.get("processor", {}), "cfa" in _section(table, "sensor")
+    base = _section(below, "sensor")
+    merged = _merge_keys(below, table)
+    if is_new and "cfa" in base:
+        merged = _fit_processor(merged, own, base["cfa"])
+    return merged
 
 
 def _section(table, name):
@@ -513,16 +523,20 @@ def _part(here, key, field, given):
         illuminant(given)
     if field == "training":
         reflectances(given)
-    if given is None or isinstance(given, float | int | tuple):
+    if isinstance(given, tuple):
         return given
     if field in ("qe", "sensitivity"):
         return read_curves(here, key, given, field == "qe")
     if field in ("photodetector_curve", "ir_cut"):
-        return None if given == "none" else read_curve(here, key, given)
+        return None if given in (None, "none") else read_curve(here, key, given)
+    if isinstance(given, float | int):
+        return given
     if field in ("transmission", "defocus", "lateral_color"):
         found = read_curve(here, key, given, field == "transmission")
         per_unit = MICRO if field == "defocus" else 1.0
         return dataclasses.replace(found, values=found.values / per_unit)
+    if given is None:
+        return given
     if field == "calibration" and isinstance(given, dict):
         from gpusim.io.camera.calibration import read_calibration
 
