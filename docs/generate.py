@@ -20,7 +20,7 @@ import stage_pages
 import gpusim
 from gpusim.cli import main as cli
 from gpusim.domain import camera_keys
-from gpusim.domain.key_words import CLASSES, default_of, field_of, unit_of, wanted_by
+from gpusim.domain.key_words import CLASSES, default_of, describe_wanted, field_of, unit_of
 
 INSIDE = re.compile(
     r" \[(?:m|s|rad|V|V/e-|m at the sensor)\]"
@@ -178,7 +178,7 @@ def keys():
         rows = [
             (
                 f"``{key}``",
-                prose.escaped(wanted_by(read)),
+                prose.escaped(describe_wanted(read)),
                 unit_of(key),
                 default(section, key),
                 meaning(key, field, said),

@@ -59,7 +59,7 @@ def unit_of(key: str) -> str:
     return ""
 
 
-def wanted_by(read: Callable[[Any], Any]) -> str:
+def describe_wanted(read: Callable[[Any], Any]) -> str:
     """Return a description of the values that a reader of SECTIONS accepts, in its words."""
     if read.__name__ in CURVES:
         return CURVES[read.__name__]
@@ -89,7 +89,7 @@ def default_of(section: str, key: str) -> Any:
         return None
     value = field.default
     if value is None:
-        return AUTO if f'"{AUTO}"' in wanted_by(read) else None
+        return AUTO if f'"{AUTO}"' in describe_wanted(read) else None
     if isinstance(value, Real) and not isinstance(value, int):
         try:
             one = read(1.0)

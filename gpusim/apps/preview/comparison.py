@@ -62,7 +62,8 @@ def list_differences(states: Sequence[State]) -> list[tuple[str, ...]]:
         rows.append(("camera", *names))
     for control in CONTROLS.values():
         values = [
-            _shown(state.value(control, table)) for state, table in zip(states, tables, strict=True)
+            _format(state.value(control, table))
+            for state, table in zip(states, tables, strict=True)
         ]
         if len({*values}) > 1:
             label = f"{control.label} [{control.unit}]" if control.unit else control.label
@@ -78,7 +79,7 @@ def describe_step(before: State, after: State) -> str:
         old, new = (state.changes.get(name, "the file's") for state in (before, after))
         if old != new:
             control = CONTROLS[name]
-            return f"{control.label} {_shown(new)} {control.unit}".rstrip()
+            return f"{control.label} {_format(new)} {control.unit}".rstrip()
     parts = {
         "light": after.light or "the scene's light",
         "luminance": after.luminance,
@@ -92,9 +93,9 @@ def describe_step(before: State, after: State) -> str:
     }
     for name, words in parts.items():
         if getattr(before, name) != getattr(after, name):
-            return f"{words}" if isinstance(words, str) else f"{name} {_shown(words)}"
+            return f"{words}" if isinstance(words, str) else f"{name} {_format(words)}"
     return "snapshots"
 
 
-def _shown(value: Any) -> str:
+def _format(value: Any) -> str:
     return f"{value:g}" if isinstance(value, float) else as_text(value)

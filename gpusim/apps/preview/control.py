@@ -106,7 +106,7 @@ class Control:
         if isinstance(self.item, str):
             given = given if isinstance(given, dict) else {}
             return given.get(self.item, self.default)
-        items = _filled(given, self)
+        items = _fill_places(given, self)
         return None if items is None else items[self.item]
 
     def put_in(self, given: Any, value: Any) -> Any:
@@ -115,14 +115,14 @@ class Control:
             return value
         if isinstance(self.item, str):
             return (given if isinstance(given, dict) else {}) | {self.item: value}
-        items = _filled(given, self)
+        items = _fill_places(given, self)
         if items is None:
             raise BadData(f"{self.label}: {self.key} is no list of numbers in the camera's file")
         items[int(self.item)] = value
         return items
 
 
-def _filled(given, control):
+def _fill_places(given, control):
     """Return a list of numbers with a place for a control's item; None if it is of another kind."""
     if given is None:
         return [*control.default]

@@ -8,7 +8,7 @@ from gpusim.data.curves import CHANNELS
 from gpusim.data.displays import display_names
 from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.exposure import METHODS
-from gpusim.domain.key_words import AUTO, default_of, unit_of, wanted_by
+from gpusim.domain.key_words import AUTO, default_of, describe_wanted, unit_of
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.optics import MODELS
 from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_BALANCES
@@ -39,7 +39,7 @@ TONES = {
 VIEWS = ("rendered", "raw", "electrons", "noise")
 
 
-def _made(section, key, label, **options):
+def _make(section, key, label, **options):
     unit = "" if options.get("is_text") else unit_of(key)
     options = {"unit": unit, "default": default_of(section, key)} | options
     if options["default"] == AUTO:
@@ -48,22 +48,22 @@ def _made(section, key, label, **options):
 
 
 def _log(section, key, label, low, high, **options):
-    return _made(section, key, label, low=low, high=high, is_log=True, **options)
+    return _make(section, key, label, low=low, high=high, is_log=True, **options)
 
 
 def _linear(section, key, label, low, high, **options):
-    return _made(section, key, label, low=low, high=high, **options)
+    return _make(section, key, label, low=low, high=high, **options)
 
 
 def _choice(section, key, label, choices, named=None, **options):
     if named:
         options["default"] = ()
-    return _made(section, key, label, choices=choices, named=named, unit="", **options)
+    return _make(section, key, label, choices=choices, named=named, unit="", **options)
 
 
 def _text(section, key, label, suggested: Iterable[str] = ()):
-    words = wanted_by(SECTIONS[section][key][1])
-    return _made(section, key, label, is_text=True, suggested=tuple(suggested), words=words)
+    words = describe_wanted(SECTIONS[section][key][1])
+    return _make(section, key, label, is_text=True, suggested=tuple(suggested), words=words)
 
 
 def _noise(key, label, low, high):
