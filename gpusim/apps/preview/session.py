@@ -20,6 +20,8 @@ from gpusim.domain.errors import GpusimError, one_line
 IN_FLIGHT = 2  # frames that were sent and not yet painted
 QUALITY = 85  # of the JPEGs
 STILL = 0.3  # [s] without a change after which pictures are exact, and still ones are lossless
+SLOW = 0.026  # [s] of a draft after which others of its slider have half the rows and columns
+TIMES = 2  # in a row: the first one may build kernels
 COUNTED = 30  # frames over which rate and latency are averaged
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1
@@ -42,6 +44,10 @@ class Session:
         self._changed = asyncio.Event()  # settings, or a frame was painted
         self._painted: deque[float] = deque(maxlen=COUNTED)
         self._waits: deque[float] = deque(maxlen=COUNTED)
+        self.streams = 0  # websockets that show its pictures
+        self.was_seen = False  # whether there has been one
+        self._slider = ""  # what was moved last
+        self._slow: dict[str, int] = {}  # slider -> slow drafts in a row
 
     @property
     def state(self) -> State:
@@ -51,6 +57,7 @@ class Session:
     def set(self, state: State, by: str = ""):
         """Take other settings. by: the slider that moves; "" for a separate step of the history."""
         self.history.set(state, by)
+        self._slider = by
         self.touch()
 
     def touch(self):
@@ -58,6 +65,20 @@ class Session:
         self.version += 1
         self.used = self._touched = time.monotonic()
         self._changed.set()
+
+    def touch_page(self):
+        """Note that a page uses the session."""
+        self.used = time.monotonic()
+
+    @property
+    def holds_memory(self) -> bool:
+        """Whether its pictures hold memory of the device."""
+        return self.producer.holds_memory
+
+    async def release(self) -> None:
+        """Free the memory of its pictures. The next picture takes as long as the first one."""
+        self.shown = None
+        await self.compute(self.producer.release)
 
     @property
     def _moves(self) -> bool:
@@ -174,11 +195,21 @@ class Session:
 
         shown = self.shown
         if not settles or shown is None or shown.facts.get("draft"):
-            shown = self.producer.picture(state, number, drafts=self._moves and not settles)
+            shown = self._picture(state, number, crop, self._moves and not settles)
         codes = shown.codes if crop is None else shown.codes[crop.part]
         if settles or crop is not None:
             return shown, PNG, _png(codes)
         return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
+
+    def _picture(self, state, number, crop, drafts):
+        """Return a picture; drafts of a slider whose drafts are slow have half the rows and columns."""
+        slider, start = self._slider, time.monotonic()
+        is_half = drafts and crop is None and self._slow.get(slider, 0) >= TIMES
+        shown = self.producer.picture(state, number, drafts=drafts, is_half=is_half)
+        if drafts and slider and not is_half:
+            is_slow = time.monotonic() - start > SLOW
+            self._slow[slider] = self._slow.get(slider, 0) + 1 if is_slow else 0
+        return shown
 
 
 def _png(codes):

@@ -1,42 +1,63 @@
-"""Sessions of all clients of the preview."""
+"""Sessions of all clients of the preview, and the memory that they use."""
 
+import asyncio
 import secrets
 import time
 from collections.abc import Callable
+from contextlib import contextmanager
 
+from gpusim.apps.preview.memory import free_memory
 from gpusim.apps.preview.producer import Producer
 from gpusim.apps.preview.session import Session
 from gpusim.apps.preview.state import State
+from gpusim.domain.errors import Conflict
 
-LEFT = 600.0  # [s] that a session without a page is kept
-MOST_SESSIONS = 16  # each holds its scene on the device
+AWAY = 5.0  # [s] without a stream after which a session's scene leaves the device
+LEFT = 600.0  # [s] that the settings of a session without a stream are kept
+UNSEEN = 60.0  # [s] likewise, of a session that has never had one
+MOST_STREAMS = 16  # each holds its scene on the device
+MOST_SESSIONS = 256  # with and without a stream; without one it is only settings
+LOOK = 1.0  # [s] between looks for sessions that were left
 
 
 class Sessions:
-    """Sessions of all clients by their tokens; idle ones are removed.
+    """Sessions of all clients by their tokens.
 
-    made: makes a Producer. first: first State.
+    A session with a stream is never removed. One without gives back its memory soon, and is removed later, or when
+    there are too many: first those that have never had a stream.
+
+    Args:
+        made: Makes a Producer.
+        first: First State.
     """
 
     def __init__(self, made: Callable[[], Producer], first: State):
         self._made, self._first = made, first
         self._known: dict[str, Session] = {}
 
+    @property
+    def streams(self) -> int:
+        """Number of streams of all sessions."""
+        return sum(session.streams for session in self._known.values())
+
     def of(self, token: str, link: str = "") -> tuple[str, Session]:
         """Return the session of a token, or a new one, with the settings of a link.
 
-        Raises BadData.
+        Raises:
+            BadData: The link is wrong.
+            Conflict: There are too many streams for another one.
         """
-        now = time.monotonic()
-        for name, session in list(self._known.items()):
-            if now - session.used > LEFT:
-                del self._known[name]
+        self._remove_old()
         if token in self._known:
-            self._known[token].used = now
+            self._known[token].touch_page()
             return token, self._known[token]
-        while len(self._known) >= MOST_SESSIONS:
-            del self._known[min(self._known, key=lambda name: self._known[name].used)]
+        if self.streams >= MOST_STREAMS:
+            reason = f"{MOST_STREAMS} pages of this preview are open"
+            raise Conflict("this page", reason, "close one of them and load this page again")
         state = State.of_link(link, self._first.camera) if link else self._first
+        while len(self._known) >= MOST_SESSIONS:
+            idle = [name for name, session in self._known.items() if not session.streams]
+            del self._known[min(idle, key=self._order)]
         token = secrets.token_urlsafe(16)
         self._known[token] = Session(self._made(), state)
         return token, self._known[token]
@@ -44,3 +65,50 @@ class Sessions:
     def find(self, token: str) -> Session | None:
         """Return the session of a token, or None."""
         return self._known.get(token)
+
+    @contextmanager
+    def streaming(self, session: Session):
+        """Count a stream of a session inside the block. The value is False if there are too many."""
+        if self.streams >= MOST_STREAMS:
+            yield False
+            return
+        session.streams += 1
+        session.was_seen = True
+        try:
+            yield True
+        finally:
+            session.streams -= 1
+            session.touch_page()
+
+    async def watch(self) -> None:
+        """Free the memory of sessions that were left, again and again."""
+        while True:
+            await asyncio.sleep(LOOK)
+            self._remove_old()
+            await self.release_left()
+
+    async def release_left(self) -> None:
+        """Free the memory of sessions that have had no stream for a while."""
+        now = time.monotonic()
+        left = [
+            session
+            for session in self._known.values()
+            if session.holds_memory and not session.streams and now - session.used > AWAY
+        ]
+        for session in left:
+            await session.release()
+        if left:
+            await left[0].compute(free_memory, left[0].producer.device, not self.streams)
+
+    def _remove_old(self):
+        """Remove sessions without a stream that were left long ago, and hold no memory."""
+        now = time.monotonic()
+        for name, session in list(self._known.items()):
+            most = LEFT if session.was_seen else UNSEEN
+            if not session.streams and not session.holds_memory and now - session.used > most:
+                del self._known[name]
+
+    def _order(self, name):
+        """Key of sessions without a stream: those that have never had one first, then by their age."""
+        session = self._known[name]
+        return session.was_seen, session.used
