@@ -29,6 +29,11 @@ JPEG, PNG = 0, 1
 DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # only one thread at a time uses a device
 
 
+async def compute(work, *arguments):
+    """Return the result of a function, called in the thread that uses the device."""
+    return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
+
+
 class Session:
     """Settings and pictures of a client. error: error of the last settings, or ""."""
 
@@ -99,8 +104,8 @@ class Session:
         return 1e3 * float(np.median(self._waits)) if self._waits else 0.0
 
     async def compute(self, work, *arguments):
-        """Return the result of a function of the producer, called in the device's thread."""
-        return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
+        """See `compute`."""
+        return await compute(work, *arguments)
 
     async def serve(self, send, acknowledged):
         """Send frames on request.

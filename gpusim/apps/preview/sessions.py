@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 from gpusim.apps.preview.memory import free_memory
 from gpusim.apps.preview.producer import Producer
-from gpusim.apps.preview.session import Session
+from gpusim.apps.preview.session import Session, compute
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import Conflict
 
@@ -17,6 +17,8 @@ LEFT = 600.0  # [s] that the settings of a session without a stream are kept
 UNSEEN = 60.0  # [s] likewise, of a session that has never had one
 MOST_STREAMS = 16  # each holds its scene on the device
 MOST_SESSIONS = 256  # with and without a stream; without one it is only settings
+MOST_WAITING = 1  # sessions without a stream that keep their memory for AWAY
+FORGOTTEN = 12.0  # [s] after which NiceGUI has forgotten a page whose session was removed
 LOOK = 1.0  # [s] between looks for sessions that were left
 
 
@@ -32,7 +34,7 @@ class Sessions:
     """
 
     def __init__(self, made: Callable[[], Producer], first: State):
-        self._made, self._first = made, first
+        self._made, self._first, self._device = made, first, made().device
         self._known: dict[str, Session] = {}
 
     @property
@@ -82,31 +84,38 @@ class Sessions:
 
     async def watch(self) -> None:
         """Free the memory of sessions that were left, again and again."""
+        again_at = None
         while True:
             await asyncio.sleep(LOOK)
-            self._remove_old()
-            await self.release_left()
+            left, gone = await self.release_left(), self._remove_old()
+            now = time.monotonic()
+            if left or gone:  # the pages are forgotten a little later
+                again_at = now + FORGOTTEN
+            if left or (again_at is not None and now > again_at):
+                again_at = again_at if left or gone else None
+                await compute(free_memory, self._device, not self.streams)
 
-    async def release_left(self) -> None:
-        """Free the memory of sessions that have had no stream for a while."""
+    async def release_left(self) -> list[Session]:
+        """Release sessions that have had no stream for a while, and all but the last MOST_WAITING. Return them."""
         now = time.monotonic()
-        left = [
-            session
-            for session in self._known.values()
-            if session.holds_memory and not session.streams and now - session.used > AWAY
-        ]
+        idle = [one for one in self._known.values() if one.holds_memory and not one.streams]
+        idle.sort(key=lambda session: session.used)
+        last = max(len(idle) - MOST_WAITING, 0)
+        left = idle[:last] + [one for one in idle[last:] if now - one.used > AWAY]
         for session in left:
             await session.release()
-        if left:
-            await left[0].compute(free_memory, left[0].producer.device, not self.streams)
+        return left
 
-    def _remove_old(self):
-        """Remove sessions without a stream that were left long ago, and hold no memory."""
-        now = time.monotonic()
-        for name, session in list(self._known.items()):
+    def _remove_old(self) -> list[str]:
+        """Remove sessions without a stream that were left long ago, and hold no memory. Return their tokens."""
+        now, old = time.monotonic(), []
+        for name, session in self._known.items():
             most = LEFT if session.was_seen else UNSEEN
             if not session.streams and not session.holds_memory and now - session.used > most:
-                del self._known[name]
+                old.append(name)
+        for name in old:
+            del self._known[name]
+        return old
 
     def _order(self, name):
         """Key of sessions without a stream: those that have never had one first, then by their age."""
