@@ -97,14 +97,14 @@ def _unframed(send):
 
 
 class _OneLine(logging.Filter):
-    """Puts an exception into the line of its log message, without a traceback."""
+    """Puts an exception in place of its log message, in one line, without a traceback."""
 
     def filter(self, record):
         """Change the record; it is always logged."""
-        if record.exc_info:
+        if record.exc_info and record.exc_info[1] is not None:
             error = record.exc_info[1]
-            words = f"{type(error).__name__}: {error}" if error else ""
-            record.msg, record.args = one_line(f"{record.getMessage()}: {words}"), ()
+            words = f"gpusim preview: {record.name}: {type(error).__name__}: {error}"
+            record.msg, record.args = one_line(words), ()
             record.exc_info = record.exc_text = None
         return True
 
