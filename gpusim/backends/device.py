@@ -220,6 +220,9 @@ class Device:
     def sync(self) -> None:
         """Wait for all earlier launches."""
 
+    def give_back(self) -> None:
+        """Free memory that is kept for reuse."""
+
     @contextmanager
     def timed(self) -> Iterator[dict[str, float]]:
         """Collect milliseconds per stage: `with device.timed() as ms: ...`.

@@ -422,9 +422,6 @@ class Taped(Device):
         """Return the driver's message if the error is refused memory, else ""."""
         return (str(error) or "out of memory") if isinstance(error, MemoryError) else ""
 
-    def give_back(self):
-        """Free memory that is kept for reuse."""
-
     def _is_own(self, values) -> bool:
         """Return whether it is an array of this device."""
         return isinstance(values, self.array_type) and values.device in (self, self._home)

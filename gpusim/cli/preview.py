@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # the command line starts without them
 
 # relative to the light, so that one plan serves all exposures and noise settings
 TOLERANCE = "1e-3"
+GRACE = 1  # [s] that requests in progress may take at the end
 TEXTS = {"help": "a page on this machine: move a slider, see the picture change"}
 
 
@@ -67,7 +68,7 @@ def preview(request: PreviewRequest) -> int:
         why = "preview: NiceGUI is not installed; wanted: pip install 'gpusim[preview]'"
         raise Missing(why) from None
     from gpusim.apps.preview.controls import TOLERANCES
-    from gpusim.apps.preview.guard import Guard
+    from gpusim.apps.preview.guard import Guard, log_in_lines
     from gpusim.apps.preview.page import mount
     from gpusim.apps.preview.producer import Producer
     from gpusim.apps.preview.state import State
@@ -97,6 +98,7 @@ def preview(request: PreviewRequest) -> int:
     )
     hosts = LOOPBACK if request.host in LOOPBACK else (*LOOPBACK, request.host)
     app.add_middleware(Guard, hosts=hosts)
+    log_in_lines()
     if request.host not in LOOPBACK:
         print(
             f"{request.host}: anyone who reaches this address may use this preview and its device"
@@ -111,7 +113,8 @@ def preview(request: PreviewRequest) -> int:
         ws_per_message_deflate=False,
         ws_max_size=2**16,
         title="gpusim",
-        uvicorn_logging_level="error",
+        uvicorn_logging_level="critical",
+        timeout_graceful_shutdown=GRACE,
     )
     return 0
 

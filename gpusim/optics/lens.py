@@ -34,6 +34,7 @@ from gpusim.optics.sampled import (
     moment_of_pixels,
     sampled_kernel,
     sampled_transfer,
+    sketched_kernel,
     stored_difference_kernels,
     window,
 )
@@ -187,6 +188,12 @@ class Lens(Protocol):
             Kernels, float64 (L, size, size), of energy 1 in all the image.
         """
 
+    def sketches(self, wavelengths, radius: int) -> np.ndarray:
+        """Return rough kernels on the axis, float32 (L, 2 radius + 1, 2 radius + 1) of sum 1, for drafts.
+
+        wavelengths: [nm], shape (L,). radius: [sample].
+        """
+
     def centroids(self, wavelengths, place, distance: float | None = None) -> np.ndarray:
         """Return the centroid of all light of a point, from its ideal image, (L, 2) (rows, cols) [sample]."""
 
@@ -312,6 +319,15 @@ class _OnGrid:
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`."""
         raise NotImplementedError
+
+    def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
+        """See `Lens`."""
+        raise NotImplementedError
+
+    def sketches(self, wavelengths, radius) -> np.ndarray:
+        """See `Lens`."""
+        found = self.kernels(wavelengths, (0.0, 0.0), 2 * radius + 1)
+        return (found / found.sum(axis=(1, 2), keepdims=True)).astype(np.float32)
 
     def moments(self, wavelengths, place, distance=None, size=1) -> np.ndarray:
         """See `Lens`."""
@@ -553,6 +569,19 @@ class PupilLens(_OnGrid):
         spots, soft = self.spots, optics.diffuser / self.pitch
         settings = size, tuple(self.aperture), spots, soft
         return _kernels(optics.pupil, waves, q, shifts, self.is_coarse, *settings)
+
+    def sketches(self, wavelengths, radius) -> np.ndarray:
+        """See `Lens`."""
+        waves, q = self.waves(wavelengths), self.q(wavelengths)
+        draw = coarse_kernel if self._by_rays(waves) else sketched_kernel
+        shift, soft = tuple(-np.array(self.displacement)), self.optics.diffuser / self.pitch
+        settings = shift, 2 * radius + 1, self.aperture, self.spots, soft
+        # one after the other: starting threads takes longer
+        made = [
+            draw(self.optics.pupil, wave, one, *settings)
+            for wave, one in zip(waves, q, strict=True)
+        ]
+        return np.array(made, np.float32)
 
     def _colour_shifts(self, wavelengths, place):
         """Displacement of a point's image by lateral colour, (L, 2) [sample]."""

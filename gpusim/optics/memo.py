@@ -10,6 +10,14 @@ import numpy as np
 
 from gpusim.optics.blas import one_core
 
+_FORGET: list[Callable[[], None]] = []  # of each remembered function
+
+
+def forget_results() -> None:
+    """Forget the results of all functions that `remember` decorates."""
+    for forget in _FORGET:
+        forget()
+
 
 def remember(most: int) -> Callable:
     """Return a decorator that keeps results of a function, up to `most` bytes of arrays, the last used ones.
@@ -21,6 +29,13 @@ def remember(most: int) -> Callable:
     def decorate(function):
         known: OrderedDict = OrderedDict()
         lock, held = Lock(), [0]
+
+        def forget():
+            with lock:
+                known.clear()
+                held[0] = 0
+
+        _FORGET.append(forget)
 
         @wraps(function)
         def remembered(*args) -> Any:

@@ -354,6 +354,21 @@ def sampled_kernel(
     return multiply(down, multiply(energy, across.T)) / whole
 
 
+def sketched_kernel(
+    pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float = 0.0
+) -> np.ndarray:
+    """Return a kernel like that of `sampled_kernel` in a fraction of the time, float32 of sum 1.
+
+    Light more than NEAR beyond the rays is left out, and the rest is as much brighter. Arguments: see there.
+    """
+    near = int(np.ceil((fastest_turn(wave) + NEAR) / STEP))
+    half = min(_half_of(size, q, shift), near)
+    energy, axes = irradiance(pupil, wave, half), _axes(q, shift, aperture, spots, soft)
+    down, across = (pixel_shares(size, half, *axis) for axis in axes)
+    kernel = multiply(down, multiply(energy, across.T))
+    return kernel / kernel.sum()
+
+
 def _half_of(size, q, shift) -> int:
     """Return `half` of the irradiance that a kernel's pixels share."""
     reach = size / 2 + max(map(abs, shift)) + MARGIN

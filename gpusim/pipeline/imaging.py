@@ -55,8 +55,8 @@ from gpusim.pipeline.light import (
 )
 from gpusim.pipeline.reading import planes, store
 from gpusim.pipeline.step import Chain, Rate, Step, Values
-from gpusim.pipeline.tables import LensTables, is_drafted
-from gpusim.planner.choices import Blur, Falloff, Fusion, Planes, Sampling
+from gpusim.pipeline.tables import LensTables
+from gpusim.planner.choices import Blur, Falloff, Fusion, Planes, Sampling, Sketch
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
@@ -441,13 +441,11 @@ class _Steps:
             stage = "optics.blur"
             constants |= {"period": plan.period}
         inputs, run = [f"{self.prefix}transfer"], None
-        if stage == "optics.blur" and is_drafted(
-            plan, self.device
-        ):  # planes stay while a lens is turned
+        if plan.find(Sketch) is not None:  # planes stay while a lens is turned
             around = {"border": constants.pop("border"), "period": plan.period}
             host = BY_SCIPY if self.device.on_host else ""
             chain.add(stage, around, run=transform, host=host)
-            inputs, run = [planes_, *inputs], blur_draft
+            inputs, run = [planes_, *inputs], blur_sketch
         chain.add(
             stage,
             constants,
@@ -742,9 +740,8 @@ def _plan_per_wavelength(plan: Plan, camera: Camera) -> Plan:
     )
 
 
-def blur_draft(spectra, planes, tables, mix, period, margin, device):
-    """Return the channels of a draft from the spectra of its planes. tables: one, or a tuple whose sum counts."""
-    tables = tables if isinstance(tables, tuple) else (tables,)
+def blur_sketch(spectra, planes, tables, mix, period, margin, device):
+    """Return the channels of a draft from the spectra of its planes."""
     return blur_spectra(spectra, tables, mix, planes.shape[1:], period, margin, device)
 
 

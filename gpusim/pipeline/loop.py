@@ -49,7 +49,8 @@ from gpusim.pipeline.probing import Probing
 from gpusim.pipeline.reading import WHOLE, Reading, is_read_on_device
 from gpusim.pipeline.repeat import MOST_PATIENCE, PATIENCE, NotRepeatable, Repeat
 from gpusim.pipeline.step import Rate, Step, Values
-from gpusim.planner.draft import draft_plan
+from gpusim.planner.choices import Sketch
+from gpusim.planner.draft import draft_plan, same_pixels, sketch_plan
 from gpusim.planner.facts import Facts
 from gpusim.planner.given import holds
 from gpusim.planner.plan import Plan
@@ -284,7 +285,8 @@ class Loop:
             gain: Analog gain, next to the sensor's [1].
             brightness: Factor on the scene's light [1]. Only what follows the blur runs again. The exposure's errors
                 are predicted for the brighter light; `plan.scene` is the scene without the factor.
-            drafts: While a lens slider moves, reuse the last plan with new transfer tables, see
+            drafts: While a lens slider, the pixel pitch or the fill factor moves, reuse the last plan: with new
+                transfer tables, or if that is not possible as a sketch, with one kernel per channel, see
                 `gpusim.planner.draft`. Then `plan.is_draft` is True and errors are not predicted. An update without
                 drafts plans again.
 
@@ -411,11 +413,17 @@ class Loop:
             plan is None
             or plan.scene is not self.scene
             or not same(draft_key(by), draft_key(camera))
-            or (lens_of(camera).symmetry.is_round and same(by.optics, camera.optics))
+            or (
+                (plan.find(Sketch) is not None or lens_of(camera).symmetry.is_round)
+                and same(by.optics, camera.optics)
+                and same_pixels(by, camera)
+            )
         ):
             draft = None
         else:
             draft = self.before.cache("draft", draft_plan, plan, camera)
+            if draft is None and self.simulator.device.kind != "numpy":  # which has no spectra
+                draft = self.before.cache("sketch", sketch_plan, plan, camera)
         self._drafted = *now, draft
         return draft
 

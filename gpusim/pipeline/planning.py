@@ -18,9 +18,9 @@ from gpusim.pipeline.cache import same
 from gpusim.pipeline.reading import bytes_read_on_device, is_read_on_device
 from gpusim.pipeline.step import steps_needed
 from gpusim.planner.choices import Goal
-from gpusim.planner.draft import TURNED
+from gpusim.planner.draft import RESIZED, TURNED
 from gpusim.planner.facts import Facts, OnHost
-from gpusim.planner.given import account_given, judge_given, named_parts, plan_inputs
+from gpusim.planner.given import PIXELS, account_given, judge_given, named_parts, plan_inputs
 from gpusim.planner.knobs import highlights, spectral
 from gpusim.planner.plan import Plan, plan
 from gpusim.planner.probes import Probes
@@ -40,8 +40,9 @@ def checked_reach(reach: int | None) -> int | None:
 
 
 def draft_key(camera: Camera) -> tuple:
-    """Return the camera settings that invalidate a draft: all but the lens controls in TURNED."""
-    return plan_inputs(replace(camera, optics=replace(camera.optics, **TURNED)), None)
+    """Return the camera settings that invalidate a draft: all but TURNED of the lens and RESIZED of the sensor."""
+    pixels = (getattr(camera.sensor, name) for name in PIXELS if name not in RESIZED)
+    return (replace(camera.optics, **TURNED), *pixels)
 
 
 def make_plan(

@@ -4,7 +4,6 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from math import ceil
 from typing import Any
 
 import numpy as np
@@ -14,25 +13,22 @@ from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.domain.pupil import Wavefront
 from gpusim.kernels.optics.airy import airy
-from gpusim.kernels.optics.blur import BATCH
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.lens import lens_of, open_lens, wavelength_nodes
+from gpusim.optics.lens import open_lens, wavelength_nodes
 from gpusim.optics.psf import fastest_turn
 from gpusim.optics.rays import AFFORDABLE
-from gpusim.optics.sampled import difference_kernels
 from gpusim.optics.tables import add_spectra, exact_tables, transfer_tables
-from gpusim.planner.choices import Blur, Fusion
+from gpusim.planner.choices import Blur, Fusion, Sketch
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan
 
 EVEN = 1e-7  # of a flat field's light, below float32's own error
-DRAFT_NODES = 5  # wavelengths between which kernels of drafts are cubic
+SKETCH_NODES = 5  # wavelengths between which kernels of sketches are cubic
 DRAFT_BANDS = 17  # wavelengths between which tables of drafts are cubic: they err by 5e-4 at most
 MOST_TURN = 4.0  # [waves per radius] of the wavefront up to which they do
-SHORT = 127  # [sample] at least of a draft's kernels that hold all light
 MOST_WRAPS = 4  # periods in a kernel, up to which kernels of planes are transformed
 RADII, ANGLES = 65, 129  # of frequencies between which a transfer function in focus is linear
 
@@ -106,18 +102,8 @@ class LensTables:
         blur, fusion = plan.find(Blur), plan.find(Fusion)
         assert blur is not None  # a plan with blur
         made_of = self._made_of(plan), blur.period, fusion and fusion.transfers
-        if is_drafted(plan, self.device):
-            optics, *rest = made_of[0]
-            focus = replace(optics, defocus=0.0, wavefront=Wavefront()), *rest
-            known = None
-            tail = self._lens(plan).tail
-            if not tail.lines:  # far from a point the lens in focus gives the same light
-                far = plan.find(FarField)
-                known = self._cache(
-                    "drafted in focus", make_tables, focus, *made_of[1:], far, self.device, True
-                )
-            rest = self._cache("drafted", draft_tables, *made_of, known is None, self.device)
-            return rest if known is None else (known, rest)
+        if (sketch := plan.find(Sketch)) is not None:
+            return self._cache("sketched", sketch_tables, *made_of, sketch.radius, self.device)
         # tables of its wavelengths next to tables of a plan
         name = f"transfer {blur.mix.shape}"
         is_draft = plan.is_draft and fusion is not None
@@ -128,11 +114,6 @@ class LensTables:
         ratio = plan.scene.samples_per_pixel
         displacement = self.camera.sensor.displacement if ratio == 1 else (0.0, 0.0)
         return self.camera.optics, *self.grid(ratio), displacement, plan.q
-
-    def _lens(self, plan):
-        """The lens in front of the samples that are blurred; apertures are displaced from samples that are pixels."""
-        optics, pitch, aperture, displacement, _ = self._made_of(plan)
-        return open_lens(optics, pitch, aperture, displacement=displacement)
 
     def all_bands(self, plan: Plan, distance: float | None = None):
         """Return transfer tables of every wavelength of a plan, as the stages take them.
@@ -267,45 +248,16 @@ def _sum_of_parts(made_of, period, transfers, device) -> Any:
     return _write_back(device, rest, whole)
 
 
-def is_drafted(plan: Plan, device: Device) -> bool:
-    """Return whether the tables of a plan are made by `draft_tables`, next to tables of the lens in focus."""
-    blur, lens = plan.find(Blur), lens_of(plan.camera)
-    return (
-        plan.is_draft
-        and device.kind != "numpy"  # the reference has no spectra
-        and blur is not None
-        and blur.mix.shape[-1] <= BATCH
-        and plan.find(Fusion) is not None
-        and lens.is_adjustable
-        and not lens.symmetry.is_round
-    )
+def sketch_tables(made_of, period, transfers, radius, device) -> Any:
+    """Return transfer tables of channels for drafts, halves (1, channels, ...), from kernels of few wavelengths.
 
-
-def draft_tables(made_of, period, transfers, is_whole, device) -> Any:
-    """Return transfer tables of planes from kernels of few wavelengths, halves: see `LensTables.transfer`.
-
-    is_whole: whether kernels hold all light of a point; else they are differences from the lens in focus.
+    transfers: part of each wavelength in the light of each channel, (1, channels, L). radius: of the kernels [sample].
     """
-    *settings, q = made_of
-    optics, pitch, aperture, displacement = settings
+    optics, pitch, aperture, displacement, q = made_of
     lens = open_lens(optics, pitch, aperture, displacement=displacement)
-    nodes, between = wavelength_nodes(q, DRAFT_NODES)  # q goes with the wavelength
-    wavelengths = nodes * pitch / optics.working_f_number * 1e9
-    flat = np.ones(len(nodes))
-    if min(lens.aperture) < 1:
-        flat = exact_tables(lens, nodes, 1, 1)[:, 0, 0]
-    if is_whole:
-        size = min(max(SHORT, 4 * ceil(lens.spread(wavelengths)) + 1), min(period) - 1) | 1
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            made = pool.map(lambda one: lens.kernels([one], (0.0, 0.0), size)[0], wavelengths)
-            bands = np.stack(list(made))
-        bands *= (flat / bands.sum(axis=(1, 2)))[:, None, None]
-    else:
-        soft, move = optics.diffuser / pitch, tuple(-np.array(displacement))
-        settings = lens.aperture, lens.spots, soft, move
-        bands = difference_kernels(optics.pupil, lens.waves(wavelengths), nodes, *settings)
-        bands *= flat.astype(np.float32)[:, None, None]
-    kernels = np.tensordot((transfers @ between).astype(np.float32), bands.astype(np.float32), 1)
+    nodes, between = wavelength_nodes(q, SKETCH_NODES)  # q goes with the wavelength
+    bands = lens.sketches(nodes * pitch / optics.working_f_number * 1e9, radius)
+    kernels = np.tensordot((transfers @ between).astype(np.float32), bands, 1)
     return _spectra_of_kernels(kernels, period, device)
 
 

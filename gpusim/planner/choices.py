@@ -51,6 +51,17 @@ class Fusion:
     transfers: np.ndarray
 
 
+@dataclass(frozen=True)
+class Sketch:
+    """Blur of a draft: planes are channels, and the lens is one kernel of each, cut off.
+
+    Attributes:
+        radius: Of the kernels [sample].
+    """
+
+    radius: int
+
+
 @dataclass(frozen=True, eq=False)
 class WorstKernels:
     """Error of the kernels of a blur that varies over the field, at the worst place.

@@ -77,7 +77,7 @@ def transform(planes: Array, border: str, period: tuple[int, int], device: Devic
 
 def blur_spectra(
     spectra: Array,
-    tables: tuple[Array, ...],
+    tables: Array,
     mix: Array,
     shape: tuple[int, int],
     period: tuple[int, int],
@@ -88,16 +88,15 @@ def blur_spectra(
 
     Args:
         spectra: Spectra of the planes, see `transform`.
-        tables: Tables whose sum is the transfer function, quarters or halves, see `blur`.
+        tables: Transfer functions, quarters or halves, see `blur`.
         mix: Weight of each plane in each channel, shape (channels, planes).
         shape: Rows and columns of the planes.
         period: Transform lengths [pixel].
         margin: Pixels on each side of the planes that are not in the result.
         device: A `Device`.
     """
-    mix, sums = np.asarray(device.numpy(mix), np.float32), None
-    for some in tables:
-        sums = _add(device, spectra, device.array(some), mix, period, 0, sums)
+    mix = np.asarray(device.numpy(mix), np.float32)
+    sums = _add(device, spectra, device.array(tables), mix, period, 0, None)
     return _cut(device, sums, shape, period, margin, None)
 
 

@@ -8,6 +8,7 @@ from cameras import camera_with
 
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, Wavefront
+from gpusim.planner.choices import Sketch
 
 BASE = camera_with(gs.open_camera("phone"), sensor={"exposure_time": 0.01})
 TOLERANCE = 1e-3
@@ -77,14 +78,52 @@ def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     )
 
 
+SKETCHED = {  # changes that tiles and planes do not serve
+    "too wide for the tiles": {"optics": {"f_number": 8.0}},
+    "larger pixels": {"optics": {"f_number": 2.0}, "sensor": {"pixel_pitch": 3e-6}},
+    "smaller apertures": {"sensor": {"fill_factor": 0.3}},
+    "coma": {"optics": zernike(coma=0.2)},
+    "astigmatism": {"optics": zernike(astigmatism=0.2)},
+    "far out of focus": {"optics": {"defocus": 40e-6}},
+    "blades out of focus": {"optics": {"defocus": 20e-6, "pupil": Pupil(5, 0, 0.1)}},
+}
+
+
+@pytest.mark.parametrize("name", SKETCHED)
+def test_a_sketch_shows_what_changes(name):
+    """From a round lens in focus: nothing is planned, and the error is at most a quarter of the change.
+
+    A quarter is small enough to see what the slider does. A sketch leaves out light beyond its kernels, 2 q / (pi^2 r)
+    of it beyond r, which is 4 % for f/8, and how the spread changes within a channel. The truth is the exact frame.
+    Means are made equal first: else the change of the light would count. Afterwards the frame is exact, bit for bit.
+    """
+    change = SKETCHED[name]
+    scene = gs.chart("deadleaves", size=(240, 192))
+    loop = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).loop(scene)
+    old = numpy(loop).copy()
+    camera, plan = camera_with(BASE, **change), loop.plan
+    draft = numpy(loop.update(camera=camera, drafts=True)).copy()
+    assert loop.plan.find(Sketch) and loop.before.plan[0] is plan
+    truth = numpy(gs.Simulator(camera, device="opencl").loop(scene))
+    wrong, changed = (
+        np.sqrt(np.mean((one - two * truth.mean() / two.mean()) ** 2))
+        for one, two in ((truth, draft), (truth, old))
+    )
+    assert abs(draft.mean() / truth.mean() - 1) < 0.01
+    assert wrong <= changed / 4
+    assert np.array_equal(
+        numpy(loop.update(camera=camera)),
+        numpy(gs.Simulator(camera, device="opencl", tolerance=TOLERANCE).loop(scene)),
+    )
+    assert not loop.plan.is_draft
+
+
 @pytest.mark.parametrize(
     "change",
     [
-        {"optics": {"f_number": 8.0}},  # too wide for the tiles
         {"optics": {"f_number": 2.0, "lateral_color": 1e-3}},
-        {"optics": {"f_number": 2.0}, "sensor": {"pixel_pitch": 3e-6}},
-        {"optics": zernike(coma=0.1)},  # no longer the same at every angle
         {"optics": {"model": "none"}},
+        {"sensor": {"centre": (0.0, 0.1)}},
     ],
 )
 def test_what_has_no_draft_is_planned(change):
@@ -93,13 +132,11 @@ def test_what_has_no_draft_is_planned(change):
     loop.exposure  # noqa: B018
     camera = camera_with(BASE, **change)
     found = numpy(loop.update(camera=camera, drafts=True))
-    assert not loop.plan.is_draft or not camera.optics.is_symmetric
-    loop.update(camera=camera)
+    assert not loop.plan.is_draft
     assert np.array_equal(
-        numpy(loop),
+        found,
         numpy(gs.Simulator(camera, device="opencl", tolerance=TOLERANCE).loop(scene)),
     )
-    assert found.shape == scene.shape
 
 
 def test_another_scene_ends_a_draft():

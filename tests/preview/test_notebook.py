@@ -29,7 +29,7 @@ class Fake:
     def __init__(self):
         self.made = []
 
-    def picture(self, state, number, drafts=False):
+    def picture(self, state, number, drafts=False, is_half=False):
         time.sleep(0.02)
         self.made.append(state)
         facts = {

@@ -37,7 +37,7 @@ class Fake:
     def __init__(self):
         self.made = []
 
-    def picture(self, state, number, drafts=False):
+    def picture(self, state, number, drafts=False, is_half=False):
         if state.changes.get("optics.f_number") == 13:
             raise GpusimError("optics.f_number = 13: unlucky")
         if state.changes.get("optics.f_number") == 14:
@@ -377,6 +377,7 @@ def test_only_pages_of_its_own_are_let_in(heads, is_own, kind):
 
     scope = {
         "type": kind,
+        "path": "/",
         "headers": [(name.encode(), value.encode()) for name, value in heads.items()],
     }
     asyncio.run(Guard(inner)(scope, None, send))

@@ -5,7 +5,9 @@ import re
 import socket
 import struct
 import time
-from urllib.request import urlopen
+from contextlib import contextmanager
+from urllib.error import HTTPError
+from urllib.request import Request, urlopen
 
 import numpy as np
 import pytest
@@ -129,3 +131,86 @@ def test_bytes_that_are_no_http_end_themselves(address):
             raw.sendall(os.urandom(200) + b"\r\n\r\n")
     with opened(address) as client:
         received(client, 5)
+
+
+def test_pages_of_others_open_nothing(address):
+    """An image, a frame, a script, at this port or another one: refused. A link, and the page itself, are let in."""
+    for site, mode, destination, status in (
+        ("cross-site", "no-cors", "image", 403),
+        ("same-site", "no-cors", "script", 403),
+        ("cross-site", "navigate", "iframe", 403),
+        ("cross-site", "cors", "empty", 403),
+        ("cross-site", "navigate", "document", 200),
+        ("same-origin", "cors", "empty", 200),
+        ("none", "navigate", "document", 200),
+    ):
+        heads = {"Site": site, "Mode": mode, "Dest": destination}
+        request = Request(address, headers={f"Sec-Fetch-{key}": heads[key] for key in heads})
+        try:
+            with urlopen(request, timeout=30) as page:
+                found, framed = page.status, page.headers["X-Frame-Options"]
+                assert framed == "DENY" and "frame-ancestors 'none'" in page.headers.as_string()
+        except HTTPError as error:
+            found = error.code
+        assert found == status, (site, mode, destination)
+
+
+def test_requests_without_a_stream_change_no_stream(address):
+    """Forty pages without a browser, more than there may be streams: the stream that is open can open again."""
+    with urlopen(address, timeout=30) as page:
+        token = re.search(r"/picture/([\w-]+)", page.read().decode())[1]
+    url = f"{address.replace('http', 'ws')}/picture/{token}"
+    with connect(url, origin=address, max_size=2**24) as client:
+        received(client, 3)
+        for _ in range(40):
+            urlopen(address, timeout=30).close()
+        received(client, 3)
+    with connect(url, origin=address, max_size=2**24) as client:
+        received(client, 3)
+
+
+@contextmanager
+def messages_of(address):
+    """A page's connection for messages, and the page's identity."""
+    with urlopen(address, timeout=30) as page:
+        client = re.search(r"""client_id["']:\s*["']([\w-]+)""", page.read().decode())[1]
+    query = f"EIO=4&transport=websocket&client_id={client}&tab_id=a&document_id=b"
+    query += "&implicit_handshake=true&next_message_id=0"
+    url = f"{address.replace('http', 'ws')}/_nicegui_ws/socket.io/?{query}"
+    with connect(url, origin=address) as messages:
+        messages.recv(timeout=10)
+        messages.send("40")
+        assert messages.recv(timeout=10).startswith("40")
+        yield messages, client
+
+
+def test_malformed_messages_leave_nothing_behind(tmp_path):
+    """They end their connection, or are told in a line; SIGTERM then ends the process with all that is open."""
+    with serving(
+        "colorchecker",
+        "--camera",
+        "phone",
+        "--size",
+        "160x100",
+        "--device",
+        "opencl",
+        folder=tmp_path,
+    ) as (address, process):
+        for bad in ("", "42", '42["event",3]', "451-[]", "9", '42["handshake",{}]', b"\x04"):
+            with messages_of(address) as (client, _), pytest.raises(ConnectionClosed):
+                client.send(bad)
+                while True:
+                    client.recv(timeout=10)
+        with messages_of(address) as (client, identity), opened(address) as stream:
+            received(stream, 2)
+            for number in range(200):  # of elements, with a listener that none has
+                content = (
+                    f'{{"client_id":"{identity}","id":{number},"listener_id":"none","args":["1"]}}'
+                )
+                client.send(f'42["event",{content}]')
+            received(stream, 2)
+            begun = time.perf_counter()
+            process.terminate()
+            written, _ = process.communicate(timeout=20)
+            assert time.perf_counter() - begun < 5  # on a busy machine
+    assert "Traceback" not in written

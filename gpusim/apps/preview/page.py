@@ -468,7 +468,15 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
         if session is None:
             await socket.close(1008)
             return
-        await socket.accept()
+        with sessions.streaming(session) as is_let_in:
+            if is_let_in:
+                await socket.accept()
+                await stream(session, socket)
+            else:
+                await socket.close(1013)
+
+    async def stream(session: Session, socket: WebSocket):
+        """Send pictures until the page has gone."""
 
         async def wait_for_paint():
             message = await socket.receive()
@@ -483,4 +491,5 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
         except (WebSocketDisconnect, RuntimeError):
             pass  # it has gone
 
+    app.on_startup(sessions.watch)
     return sessions

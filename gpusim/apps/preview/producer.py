@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gpusim.apps.preview.comparison import compare
+from gpusim.apps.preview.half import HalfLoop
 from gpusim.apps.preview.measures import edge, error_map, light, on_host
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Scenes
@@ -22,6 +23,7 @@ from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.measure.checker import checker_of
 from gpusim.measure.mosaic import color_mosaic
 from gpusim.pipeline.frame import Frame
+from gpusim.pipeline.loop import Loop
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 
@@ -47,8 +49,12 @@ class Picture:
 class Producer:
     """A client's pictures of scenes. One thread at a time may use all producers of a device.
 
-    period: least time between frames of moving scenes [s], 0 for still ones. capture: capture of
-    each picture; None is one frame.
+    It holds no memory of the device before its first picture, and after `release`.
+
+    Attributes:
+        period: Least time between frames of moving scenes [s], 0 for still ones.
+        frames: Number of frames.
+        device: The device.
     """
 
     def __init__(
@@ -61,25 +67,45 @@ class Producer:
         if capture is not None and capture.has_frames:
             reason = "a preview shows one frame of each scene"
             raise Conflict("capture", reason, "merge its frames")
-        self._scenes, self._device, self.period = scenes, device, period
+        self._scenes, self.device, self.period = scenes, device, period
         self._capture = capture
         self.frames = NUMBERS if scenes.is_still else scenes.count
+        self.release()
+
+    def release(self) -> None:
+        """Forget all that pictures have in common. The next one takes as long as the first."""
         self._built: tuple[State | None, Camera | None] = None, None
-        self._loop = None
+        self._loop: Loop | None = None
+        self._half = HalfLoop()
         self._tolerance: str | None = None
         self._shown: tuple = (None, None)  # number and scene
-        self._arriving, self._next = scenes.between(0, 0), -1
+        self._arriving, self._next = self._scenes.between(0, 0), -1
         self._lit: tuple = (None, None, None, None)
         self._others: list[Producer] = []
         self._checker: tuple = (None, None)
 
-    def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
-        """Return a picture of a state. drafts: see `Loop.update`.
+    @property
+    def holds_memory(self) -> bool:
+        """Whether there is something to `release`."""
+        return self._loop is not None or self._shown[1] is not None
+
+    def picture(
+        self, state: State, number: int, drafts: bool = False, is_half: bool = False
+    ) -> Picture:
+        """Return a picture of a state.
+
+        Args:
+            state: The state.
+            number: Number of the frame.
+            drafts: See `Loop.update`.
+            is_half: Whether a draft has half as many rows and columns, if that is possible.
 
         Raises as camera, light and simulation do.
         """
         begun = time.perf_counter()
-        loop = self._update(state, number, drafts)
+        loop = self._half_loop(state, number) if drafts and is_half else None
+        if loop is None:
+            loop = self._update(state, number, drafts)
         show = {
             "rendered": self._render,
             "raw": self._raw,
@@ -88,7 +114,7 @@ class Producer:
         }
         shown = self._shown_frame(loop, state.seed, number)
         codes = np.ascontiguousarray(show[state.view](shown))
-        account, exposure = loop.account, loop.exposure
+        account, exposure = loop.account, loop.expose()
         plan = loop.plan
         tolerance = None if plan.is_draft else loop.simulator.tolerance
         verdict = None if tolerance is None else account.verdict(tolerance)
@@ -108,7 +134,7 @@ class Producer:
         others = state.others
         del self._others[len(others) :]  # frees their memory on the device
         while len(self._others) < len(others):
-            self._others.append(Producer(self._scenes, self._device, capture=self._capture))
+            self._others.append(Producer(self._scenes, self.device, capture=self._capture))
         if others:
             pairs = zip(self._others, others, strict=True)
             shown = [own.picture(other, number, drafts).codes for own, other in pairs]
@@ -121,7 +147,7 @@ class Producer:
 
         Raises as `picture`.
         """
-        simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
+        simulator = Simulator(state.build(), device=self.device, tolerance=state.asked)
         scene = self._scene_in(state, number)
         if self._capture is not None:
             first = number * self._capture.count
@@ -136,7 +162,7 @@ class Producer:
         returns. Raises as `picture` and `Simulator` with `verify` do; the function raises BadData
         for a large frame with a blur that varies over the field.
         """
-        simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
+        simulator = Simulator(state.build(), device=self.device, tolerance=state.asked)
         scene = self._scene_in(state, number)
         require_truth(simulator.camera, scene)
         exposure = simulator.expose(scene)
@@ -184,15 +210,26 @@ class Producer:
             found["difference"] = float(differences.mean())
         return found
 
-    def _update(self, state, number, drafts):
+    def _build(self, state):
+        """Return the camera of a state."""
         last, camera = self._built
         wanted = state.camera, state.changes
         if last is None or camera is None or (last.camera, last.changes) != wanted:
             camera = state.build()
             self._built = state, camera
-        scene = self._scene_in(state, number)
+        return camera
+
+    def _half_loop(self, state, number):
+        """Return the loop of a draft of half as many rows and columns, or None."""
+        is_whole = self._capture is not None or bool(state.others)
+        if is_whole or self._loop is None or self._tolerance != state.tolerance:
+            return None
+        return self._half.update(self._loop, self._build(state), self._scene_in(state, number))
+
+    def _update(self, state, number, drafts):
+        camera, scene = self._build(state), self._scene_in(state, number)
         if self._loop is None or self._tolerance != state.tolerance:
-            simulator = Simulator(camera, device=self._device, tolerance=state.asked)
+            simulator = Simulator(camera, device=self.device, tolerance=state.asked)
             self._loop, self._tolerance = simulator.loop(scene), state.tolerance
         changes = {}
         must_plan = not drafts and self._loop.plan.is_draft
@@ -204,7 +241,7 @@ class Producer:
             before = self._loop.simulator.camera, self._loop.scene
             try:
                 self._loop.update(**changes, drafts=drafts)
-                self._loop.exposure  # noqa: B018  raises errors now
+                self._loop.expose()  # raises errors now
             except Exception:
                 self._loop.update(camera=before[0], scene=before[1])
                 self._built = None, None
@@ -229,7 +266,7 @@ class Producer:
         return scene
 
     def _on_host(self, array):
-        return on_host(self._device, array)
+        return on_host(self.device, array)
 
     def _shown_frame(self, loop, seed, number):
         """Return the frame that is shown: its values are computed when they are read."""
@@ -271,7 +308,7 @@ class _Shown:
 
     @property
     def camera(self):
-        return self._loop.exposure.camera
+        return self._loop.expose().camera
 
     @property
     def rgb(self):
@@ -279,12 +316,12 @@ class _Shown:
 
     @property
     def raw(self):
-        exposure = self._loop.exposure
+        exposure = self._loop.expose()
         return exposure.split_layers(self._producer._on_host(self._loop.raw(**self._numbers)))
 
     @property
     def mean(self):
-        exposure = self._loop.exposure
+        exposure = self._loop.expose()
         return exposure.split_layers(self._producer._on_host(exposure.mean))
 
 

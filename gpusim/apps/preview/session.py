@@ -24,6 +24,8 @@ from gpusim.domain.errors import GpusimError, one_line
 IN_FLIGHT = 2  # frames that were sent and not yet painted
 QUALITY = 85  # of the JPEGs
 STILL = 0.3  # [s] without a change after which pictures are exact, and still ones are lossless
+SLOW = 0.026  # [s] of a draft after which others of its slider have half the rows and columns
+TIMES = 2  # in a row: the first one may build kernels
 COUNTED = 30  # frames over which rate and latency are averaged
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1
@@ -37,6 +39,11 @@ class Held:
 
     value: Any
     reason: str
+
+
+async def compute(work, *arguments):
+    """Return the result of a function, called in the thread that uses the device."""
+    return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
 
 
 class Session:
@@ -64,6 +71,9 @@ class Session:
         self._changed = asyncio.Event()  # settings, or a frame was painted
         self._painted: deque[float] = deque(maxlen=COUNTED)
         self._waits: deque[float] = deque(maxlen=COUNTED)
+        self.streams = 0  # websockets that show its pictures
+        self.was_seen = False  # whether there has been one
+        self._slow: dict[str, int] = {}  # slider -> slow drafts in a row
 
     @property
     def state(self) -> State:
@@ -95,6 +105,20 @@ class Session:
         self.used = self._touched = time.monotonic()
         self._changed.set()
 
+    def touch_page(self):
+        """Note that a page uses the session."""
+        self.used = time.monotonic()
+
+    @property
+    def holds_memory(self) -> bool:
+        """Whether its pictures hold memory of the device."""
+        return self.producer.holds_memory
+
+    async def release(self) -> None:
+        """Free the memory of its pictures. The next picture takes as long as the first one."""
+        self.shown = None
+        await self.compute(self.producer.release)
+
     @property
     def _moves(self) -> bool:
         """Return whether the settings have just changed."""
@@ -114,8 +138,8 @@ class Session:
         return 1e3 * float(np.median(self._waits)) if self._waits else 0.0
 
     async def compute(self, work, *arguments):
-        """Return the result of a function of the producer, called in the device's thread."""
-        return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
+        """See `compute`."""
+        return await compute(work, *arguments)
 
     async def serve(self, send, acknowledged):
         """Send frames on request.
@@ -251,7 +275,7 @@ class Session:
 
         shown, number = self.shown, self.number
         if not settles or shown is None or shown.facts.get("draft"):
-            shown = self.producer.picture(state, number, drafts=self._moves and not settles)
+            shown = self._picture(state, number, crop, self._moves and not settles)
         codes = shown.codes
         if crop is not None:
             parts = np.split(codes, shown.count, axis=1)
@@ -259,6 +283,16 @@ class Session:
         if settles or crop is not None:
             return shown, PNG, _png(codes)
         return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
+
+    def _picture(self, state, number, crop, drafts):
+        """Return a picture; drafts of a slider whose drafts are slow have half the rows and columns."""
+        slider, start = self._moved, time.monotonic()
+        is_half = drafts and crop is None and self._slow.get(slider, 0) >= TIMES
+        shown = self.producer.picture(state, number, drafts=drafts, is_half=is_half)
+        if drafts and slider and not is_half:
+            is_slow = time.monotonic() - start > SLOW
+            self._slow[slider] = self._slow.get(slider, 0) + 1 if is_slow else 0
+        return shown
 
 
 def _png(codes):
