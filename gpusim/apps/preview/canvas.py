@@ -59,6 +59,15 @@ class Canvas:
                 ).props(mark("overlay"))
                 self._overlay.on("wheel.prevent", self._on_wheel, ["deltaY"], throttle=0.1)
 
+    def follow(self, shape: tuple[int, int]) -> None:
+        """Take frames of another shape, rows and columns, of which all is shown first."""
+        if shape != self._shape:
+            self._shape, self.at, self.edge = shape, None, None
+            self._overlay._props["size"] = shape[::-1]
+            self._overlay.update()
+            self._set_crop(None)
+            self._draw_edge()
+
     def _on_wheel(self, event):
         self.zoom(1 if event.args["deltaY"] < 0 else -1)
 

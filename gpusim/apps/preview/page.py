@@ -1,14 +1,9 @@
 """The preview's page: controls, the picture and its data."""
 
-import tempfile
 import time
-from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from math import isfinite
-from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from nicegui import app, run, ui
 
@@ -16,17 +11,21 @@ from gpusim.apps.preview.canvas import Canvas, mark
 from gpusim.apps.preview.controls import (
     CONTROLS,
     GROUPS,
-    LIGHTS,
     LUMINANCE,
-    OWN,
     PLACES,
     TOLERANCES,
     VIEWS,
     Control,
 )
 from gpusim.apps.preview.curves import histogram, response
+from gpusim.apps.preview.filmstrip import Filmstrip
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
+from gpusim.apps.preview.light_chooser import LightChooser
 from gpusim.apps.preview.measures import SPAN
+from gpusim.apps.preview.receiver import notify_errors
+from gpusim.apps.preview.recipes import Start
+from gpusim.apps.preview.saving import SaveMenu
+from gpusim.apps.preview.scene_chooser import SceneChooser
 from gpusim.apps.preview.session import Session
 from gpusim.apps.preview.sessions import Sessions
 from gpusim.apps.preview.state import State
@@ -34,10 +33,9 @@ from gpusim.domain.errors import GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
 
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
-OPEN = ("Exposure", "Lens")  # groups, at first
+OPEN = ("Scene", "Exposure", "Lens")  # groups, at first
 QUIET = "text-sm text-neutral-300 font-mono"
 ROW = "w-full items-center gap-2"
-FORMATS = (".png", ".dng", ".exr", ".npz")
 # A control that glides to its new place has the page laid out and painted at every refresh of the
 # screen
 STYLE = """
@@ -48,12 +46,19 @@ STYLE = """
 
 
 class Page:
-    """One client's page. title: title of the scene; shape: rows and columns of its frames."""
+    """One client's page.
+
+    title: of the page. shape: rows and columns of its first frames. start: how the preview was started.
+    """
 
     def __init__(
-        self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str
+        self, session: Session, token: str, title: str, shape: tuple[int, int], start: Start
     ):
-        self.session, self._title, self._scene = session, title, scene
+        self.session, self._title = session, title
+        self._scene = SceneChooser(session, self._set)
+        self._light = LightChooser(session, self._set)
+        self._films = Filmstrip(session, self._scene.show)
+        self._saving = SaveMenu(session, start)
         self._canvas = Canvas(session, token, shape)
         self._fields: dict[str, Any] = {}
         self._is_updating = False  # while the page follows the settings, and not they it
@@ -87,6 +92,7 @@ class Page:
 
     def _build_picture(self):
         self._canvas.build()
+        self._films.build()
         with ui.row().classes(ROW):
             view = ui.toggle(list(VIEWS), on_change=lambda event: self._set(view=event.value))
             self._keep("view", view.props("dense no-caps"))
@@ -167,16 +173,13 @@ class Page:
             cameras = [*names, *([] if own in names else [own])]
             self._choice("camera", "camera", cameras, self._camera, "grow")
             self._choice("tolerance", "tolerance", TOLERANCES, self._tolerance, "grow")
-            with ui.button("Save", icon="save").props("dense").props(mark("save")), ui.menu():
-                ui.menu_item("camera.toml", self._save_camera).props(mark("save camera"))
-                for suffix in FORMATS:
-                    item = ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix))
-                    item.props(mark(f"save {suffix}"))
-                ui.menu_item("link and command line", self._show_link).props(mark("show link"))
+            self._saving.build()
 
     def _build_scene(self):
+        with _group("Scene"):
+            self._scene.build()
         with _group("Light"):
-            self._choice("light", "light", (OWN, *LIGHTS), self._light)
+            self._light.build()
             self._slider("luminance", LUMINANCE, self._luminance)
 
     def _build_control(self, control: Control):
@@ -243,9 +246,6 @@ class Page:
     def _tolerance(self, name):
         self._set(tolerance=name)
 
-    def _light(self, name):
-        self._set(light=None if name == OWN else name)
-
     def _luminance(self, value):
         self._set("luminance", luminance=value)
 
@@ -302,7 +302,7 @@ class Page:
     async def _error_map(self):
         session = self.session
         ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
-        with _notify_errors():
+        with notify_errors():
             compare = await session.compute(session.producer.error, session.state, session.number)
             self._show_error_map(*await run.io_bound(compare))
 
@@ -341,10 +341,11 @@ class Page:
             for name in ("view", "camera", "tolerance"):
                 self._fields[name].value = getattr(state, name)
             self._fields["live"].value = state.is_live
-            self._fields["light"].value = state.light or OWN
             for name in ("swap", "no B", "split"):
                 self._fields[name].visible = state.against is not None
             self._fields["split"].value = PLACES * state.split
+            self._scene.update()
+            self._light.update()
             if self._is_moving:
                 self._fields["frame"].value = state.frame
         finally:
@@ -381,6 +382,7 @@ class Page:
         shown = session.shown
         if shown is None:
             return
+        self._canvas.follow(shown.codes.shape[:2])
         if self._is_moving and session.state.is_live:
             self._is_updating = True
             self._fields["frame"].value = shown.number
@@ -424,31 +426,6 @@ class Page:
         self._fields["edge"].text = text
         self._fields["response"].content = curve
 
-    # saved files
-
-    def _save_camera(self):
-        with _notify_errors():
-            self.session.state.build()
-            ui.download.content(self.session.state.toml(), "camera.toml")
-
-    async def _save_frame(self, suffix):
-        session = self.session
-        number = session.shown.number if session.shown else session.state.frame
-        with _notify_errors():
-            data = await session.compute(
-                _read_saved, session.producer, session.state, number, suffix
-            )
-            ui.download.content(data, f"frame{suffix}")
-
-    def _show_link(self):
-        state = self.session.state
-        with ui.dialog() as dialog, ui.card().classes("max-w-[640px]"):
-            ui.label("The page with these settings:")
-            ui.code(f"/?state={quote(state.link(), safe='')}").props(mark("link"))
-            ui.label("The same on the command line, with the camera saved next to it:")
-            ui.code(state.command(self._scene)).props(mark("command"))
-        dialog.open()
-
 
 def _group(name):
     """Return a group of controls that can be folded."""
@@ -456,24 +433,11 @@ def _group(name):
     return group.classes("w-full").props(mark(f"group {name}"))
 
 
-@contextmanager
-def _notify_errors():
-    """Show an error of the block on the page."""
-    try:
-        yield
-    except GpusimError as error:
-        ui.notify(str(error), type="negative")
+def mount(made, first: State, title: str, shape: tuple[int, int], start: Start) -> Sessions:
+    """Add the page and its websocket to NiceGUI's application.
 
-
-def _read_saved(producer, state, number, suffix):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"frame{suffix}"
-        producer.frame(state, number).save(path)
-        return path.read_bytes()
-
-
-def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) -> Sessions:
-    """Add the page and its websocket to NiceGUI's application. made: makes a client's Producer."""
+    made: makes a client's Producer. first: settings of a new page. Others: see `Page`.
+    """
     from fastapi import WebSocket, WebSocketDisconnect
 
     sessions = Sessions(made, first)
@@ -485,7 +449,7 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
         except GpusimError as error:
             ui.label(str(error)).classes("text-red-500")
             return
-        Page(session, token, title, shape, scene).build()
+        Page(session, token, title, shape, start).build()
         ui.run_javascript(f"history.replaceState(null, '', '/?s={token}')")
 
     @app.websocket("/picture/{token}")

@@ -10,16 +10,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gpusim.apps.preview.measures import edge, error_map, light, on_host
+from gpusim.apps.preview.shelf import Shelf
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Scenes
 from gpusim.backends import Device
 from gpusim.captures.capture import Capture, Light
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, Conflict
-from gpusim.io.scene.scenes import relight
+from gpusim.domain.digest import digest
+from gpusim.domain.errors import BadData, Conflict, GpusimError
+from gpusim.domain.scene import PANORAMA
+from gpusim.io.scene.scenes import open_again, relight
 from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.measure.checker import checker_of
 from gpusim.measure.mosaic import color_mosaic
+from gpusim.optics.panorama import view_panorama
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
@@ -45,8 +49,9 @@ class Picture:
 class Producer:
     """A client's pictures of scenes. One thread at a time may use all producers of a device.
 
-    period: least time between frames of moving scenes [s], 0 for still ones. capture: capture of
-    each picture; None is one frame.
+    scenes: shown while a state names no scene. period: least time between frames of moving scenes [s],
+    0 for still ones. capture: capture of each picture; None is one frame. shelf: scenes that states
+    name, and their files.
     """
 
     def __init__(
@@ -55,19 +60,22 @@ class Producer:
         device: Device,
         period: float = 0.0,
         capture: Capture | None = None,
+        shelf: Shelf | None = None,
     ):
         if capture is not None and capture.has_frames:
             reason = "a preview shows one frame of each scene"
             raise Conflict("capture", reason, "merge its frames")
         self._scenes, self._device, self.period = scenes, device, period
         self._capture = capture
+        self.shelf = shelf or Shelf()
         self.frames = NUMBERS if scenes.is_still else scenes.count
         self._built: tuple[State | None, Camera | None] = None, None
         self._loop = None
         self._tolerance: str | None = None
         self._shown: tuple = (None, None)  # number and scene
         self._arriving, self._next = scenes.between(0, 0), -1
-        self._lit: tuple = (None, None, None, None)
+        self._lit: tuple = (None, (), None)  # scene, light and luminance, and the lit scene
+        self._seen: tuple = (None, (), None)  # panorama, what its view depends on, and the view
         self._other: Producer | None = None
         self._checker: tuple = (None, None)
 
@@ -98,12 +106,12 @@ class Producer:
             "unknown": verdict.unknown if verdict else account.unknown,
             "exposure": exposure.exposure_time,
             "gain": exposure.gain,
+            "scene": state.scene.key,
         }
         if state.other is None:
             self._other = None  # frees its memory on the device
         else:
-            other = self._other or Producer(self._scenes, self._device, capture=self._capture)
-            self._other = other
+            self._other = self._other or self._companion()
             codes = _beside(
                 codes, self._other.picture(state.other, number, drafts).codes, state.split
             )
@@ -114,8 +122,8 @@ class Producer:
 
         Raises as `picture`.
         """
-        simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
-        scene = self._scene_in(state, number)
+        simulator = Simulator(self.build(state), device=self._device, tolerance=state.asked)
+        scene = self._scene_in(state, number, simulator.camera)
         if self._capture is not None:
             first = number * self._capture.count
             (frame,) = self._capture.take(simulator, scene, seed=state.seed, first=first)
@@ -129,8 +137,8 @@ class Producer:
         returns. Raises as `picture` and `Simulator` with `verify` do; the function raises BadData
         for a large frame with a blur that varies over the field.
         """
-        simulator = Simulator(state.build(), device=self._device, tolerance=state.asked)
-        scene = self._scene_in(state, number)
+        simulator = Simulator(self.build(state), device=self._device, tolerance=state.asked)
+        scene = self._scene_in(state, number, simulator.camera)
         require_truth(simulator.camera, scene)
         exposure = simulator.expose(scene)
         exposure = replace(exposure, mean=self._on_host(exposure.mean))
@@ -179,11 +187,11 @@ class Producer:
 
     def _update(self, state, number, drafts):
         last, camera = self._built
-        wanted = state.camera, state.changes
-        if last is None or camera is None or (last.camera, last.changes) != wanted:
-            camera = state.build()
+        wanted = state.camera, state.changes, state.files
+        if last is None or camera is None or (last.camera, last.changes, last.files) != wanted:
+            camera = self.build(state)
             self._built = state, camera
-        scene = self._scene_in(state, number)
+        scene = self._scene_in(state, number, camera)
         if self._loop is None or self._tolerance != state.tolerance:
             simulator = Simulator(camera, device=self._device, tolerance=state.asked)
             self._loop, self._tolerance = simulator.loop(scene), state.tolerance
@@ -204,7 +212,34 @@ class Producer:
                 raise
         return self._loop
 
-    def _scene_in(self, state, number):
+    def build(self, state: State) -> Camera:
+        """Return the camera of a state, whose files are the client's. Raises as `State.build` does."""
+        uploads = self.shelf.uploads
+        try:
+            return state.with_paths(uploads.path).build()
+        except GpusimError as error:
+            raise uploads.shorten(error) from error
+
+    def _companion(self):
+        """Return a producer of the same scenes for a second camera."""
+        return Producer(self._scenes, self._device, capture=self._capture, shelf=self.shelf)
+
+    def _scene_in(self, state, number, camera):
+        """Return the scene of a frame, in its light, as a camera sees it."""
+        choice = state.scene
+        own = self._given_scene(number) if choice.is_given else self.shelf.open(choice)
+        scene = self._relight(own, state)
+        if scene.projection != PANORAMA:
+            return scene
+        seen, seen_by, view = self._seen
+        by = choice.size, digest(camera.optics), camera.sensor.pixel_pitch
+        if seen is not scene or seen_by != by:
+            view = view_panorama(scene, camera, size=choice.size)
+            self._seen = scene, by, view
+        return view
+
+    def _given_scene(self, number):
+        """Return the scene of a frame of those that the preview was started with."""
         number = 0 if self._scenes.is_still else number % self._scenes.count
         if self._shown[0] != number:
             if number != self._next:
@@ -212,13 +247,19 @@ class Producer:
             self._next = -1  # if the scene cannot be read, the next request starts anew
             self._shown = number, next(self._arriving)
             self._next = number + 1
-        own = self._shown[1]
+        return self._shown[1]
+
+    def _relight(self, own, state):
         if state.light is None and state.luminance is None:
             return own
-        light, luminance, last, scene = self._lit
-        if last is not own or (light, luminance) != (state.light, state.luminance):
-            scene = relight(own.name, own, state.light, state.luminance)
-            self._lit = state.light, state.luminance, own, scene
+        key = state.light, state.luminance, state.files.get(state.light)
+        last, last_key, scene = self._lit
+        if last is not own or key != last_key:
+            change = relight if state.scene.is_given else open_again
+            light = state.with_paths(self.shelf.uploads.path).light
+            name = own.name if state.scene.is_given else state.scene.name
+            scene = change(name, own, light=light, luminance=state.luminance)
+            self._lit = own, key, scene
         return scene
 
     def _on_host(self, array):

@@ -175,6 +175,8 @@ class Session:
         shown = self.shown
         if not settles or shown is None or shown.facts.get("draft"):
             shown = self.producer.picture(state, number, drafts=self._moves and not settles)
+        if crop is not None and not crop.fits(shown.codes.shape):  # of another scene
+            crop = None
         codes = shown.codes if crop is None else shown.codes[crop.part]
         if settles or crop is not None:
             return shown, PNG, _png(codes)
