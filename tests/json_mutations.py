@@ -8,11 +8,13 @@ from dataclasses import replace
 from mutations import pick
 
 from gpusim.apps.preview.controls import BEYOND, BEYOND_LOG, CONTROLS, LIGHTS, TOLERANCES, VIEWS
+from gpusim.apps.preview.recipes import command_line
+from gpusim.apps.preview.scene_choice import SceneChoice
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData
 
 STATES = [
-    State("phone"),
+    State("phone", scene=SceneChoice("flat", size=(48, 32), options={"border": "edge"})),
     State("mono", {"optics.f_number": 2.0, "sensor.bits": 12}, "D65", 100.0, "1e-2", "raw"),
     State(
         "machine-vision",
@@ -21,6 +23,12 @@ STATES = [
         frame=7,
         against={"camera": "phone", "changes": {"noise.read_e": 3.0}},
         split=0.25,
+    ),
+    State(
+        "phone",
+        light="lamp.csv",
+        scene=SceneChoice("a.npz", {"a.npz": "0" * 64}, (64, 48), {"border": "edge"}),
+        files={"lamp.csv": "1" * 64},
     ),
 ]
 VIDEO = {
@@ -120,7 +128,7 @@ def good(reader):
         text.encode()
         for text in {
             "link": [state.link() for state in STATES],
-            "fields": [_quick(state).link() for state in STATES],
+            "fields": [_quick(state).link() for state in STATES if not state.files],
             "manifest": [json.dumps(MANIFEST, indent=2) + "\n", json.dumps(VIDEO)],
             "sheet": [json.dumps(sheet) for sheet in SHEETS],
         }[reader]
@@ -250,7 +258,7 @@ def read_link(path):
     for one in (state, state.other or state):
         one.build()
         one.toml()
-    return State.of_link(state.link(), "phone"), state.command("a scene.png")
+    return State.of_link(state.link(), "phone"), command_line(state, 7)
 
 
 def read_fields(path):

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from gpusim.domain.account import SHOWN
 from gpusim.domain.errors import LONGEST_PATH, BadFile, Conflict, OutOfRange, one_line
+from gpusim.io.scene.option_texts import WAVELENGTHS, parse_band, parse_size, parse_wavelengths
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.domain.camera import Camera
@@ -169,9 +170,8 @@ def _flag(part):
 
 def _channel(text):
     """Return name and wavelength [nm] of NAME=NM. Raises OutOfRange."""
-    name, _, value = text.rpartition("=")
     try:
-        return name, float(value)
+        return parse_band(text)
     except ValueError:
         raise OutOfRange("--band", text, "NAME=wavelength in nm, such as --band red=630") from None
 
@@ -225,8 +225,7 @@ def seed_option(seeded: str) -> Any:
 @reads("COLSxROWS, such as 1920x1080")
 def size(text: str) -> tuple[int, int]:
     """Return the columns and rows of the text COLSxROWS. Raises ArgumentTypeError."""
-    cols, rows = (int(part) for part in text.lower().split("x"))
-    return cols, rows
+    return parse_size(text)
 
 
 def _time(text):
@@ -249,16 +248,7 @@ def _fov(text):
     return math.radians(_positive("degrees above 0 and below 180", 179.99)(text))
 
 
-@reads("FIRST:LAST:STEP, such as 400:700:10, or a list such as 450,550,650")
-def _wavelengths(text):
-    """Return the wavelengths [nm] of FIRST:LAST:STEP or of a list."""
-    if ":" not in text:
-        return [float(part) for part in text.split(",")]
-    first, last, step = (float(part) for part in text.split(":"))
-    count = round((last - first) / step)
-    if not (0 < count < 10_000 and abs(first + count * step - last) < 1e-6 * step):
-        raise ValueError
-    return [first + number * step for number in range(count + 1)]
+_wavelengths = reads(WAVELENGTHS)(parse_wavelengths)
 
 
 @dataclass(frozen=True, kw_only=True)

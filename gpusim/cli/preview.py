@@ -67,12 +67,17 @@ def preview(request: PreviewRequest) -> int:
     except ImportError:
         why = "preview: NiceGUI is not installed; wanted: pip install 'gpusim[preview]'"
         raise Missing(why) from None
+    from gpusim.apps.preview.body_limit import BodyLimit
     from gpusim.apps.preview.controls import TOLERANCES
     from gpusim.apps.preview.guard import Guard, log_in_lines
     from gpusim.apps.preview.page import mount
     from gpusim.apps.preview.producer import Producer
+    from gpusim.apps.preview.shelf import Shelf
     from gpusim.apps.preview.state import State
+    from gpusim.apps.preview.uploads import Uploads
     from gpusim.backends import open_device
+    from gpusim.cli.preview_start import read_start
+    from gpusim.domain.scene import PLANE
 
     changes, tolerance = request.changes(), request.tolerance or TOLERANCE
     if tolerance not in TOLERANCES:
@@ -89,13 +94,23 @@ def preview(request: PreviewRequest) -> int:
     if capture is not None:
         capture = replace(capture, merged=capture.merged or capture.has_frames)
     request.refuse_unread("preview")
+    shown = read_start(request, scenes)
+    is_unlit = request.light is None and request.luminance is None
+
+    def make_producer():
+        shelf = Shelf(Uploads(shown.known))
+        if shown.scene.name and is_unlit and first.projection == PLANE:
+            shelf.put(shown.scene, first)  # all pages share it
+        return Producer(scenes, device, period, capture, shelf)
+
     mount(
-        lambda: Producer(scenes, device, period, capture),
-        State(request.camera, changes, tolerance=tolerance),
+        make_producer,
+        State(request.camera, changes, tolerance=tolerance, scene=shown.scene, **shown.settings),
         first.name,
         first.shape,
-        " ".join(request.scene),
+        shown.start,
     )
+    app.add_middleware(BodyLimit)
     hosts = LOOPBACK if request.host in LOOPBACK else (*LOOPBACK, request.host)
     app.add_middleware(Guard, hosts=hosts)
     log_in_lines()

@@ -29,6 +29,12 @@ class SimulateRequest(Request):
         metavar="N",
         help="number of noisy frames, written to numbered files (default: 1)",
     )
+    frame: int = option(
+        default=0,
+        type=whole(0, 2**32 - 1),
+        metavar="N",
+        help="number of the first frame: each has its own noise (default: 0)",
+    )
     capture: "Capture | None" = capture_option("; frames that are not merged get numbered files")
     out: list[str] | tuple = option(
         "-o",
@@ -124,9 +130,12 @@ def simulate(request: SimulateRequest) -> int:
     for path, quality in zip(request.out, qualities, strict=True):
         check_format(path, seen, request.bits, quality)
     if request.capture is not None:
-        frames = iter(request.capture.take(simulator, scene, seed=request.seed))
+        first = request.frame * request.capture.count
+        frames = iter(request.capture.take(simulator, scene, seed=request.seed, first=first))
     else:
-        frames = simulator.frames(scene, request.frames, seed=request.seed, verify=request.verify)
+        frames = simulator.frames(
+            scene, request.frames, verify=request.verify, seed=request.seed, first=request.frame
+        )
     request.refuse_unread("simulate")
     if request.count > 1:
         from tqdm import tqdm

@@ -99,6 +99,17 @@ class DoesNotFit(GpusimError):
         )
 
 
+class TooLarge(DoesNotFit):
+    """The estimated memory exceeds a limit that is set, as the preview does for uploaded files."""
+
+    def __init__(self, what: str, needed: int, limit: int):
+        GpusimError.__init__(
+            self,
+            f"{what} needs about {needed / 2**30:.2f} GiB; allowed here is {limit / 2**30:.2f} GiB; make it "
+            "smaller: fewer pixels, or fewer bands",
+        )
+
+
 class Conflict(GpusimError):
     """An option that conflicts with others.
 

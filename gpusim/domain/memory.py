@@ -5,11 +5,15 @@ interface (Numba manual, version 3), and NumPy's `__array__` and `__array_interf
 """
 
 import os
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, DoesNotFit
+from gpusim.domain.errors import BadData, DoesNotFit, TooLarge
+
+_LIMIT: ContextVar[int | None] = ContextVar("gpusim_memory_limit", default=None)
 
 
 class Pinned(np.ndarray):
@@ -34,8 +38,27 @@ def host_memory() -> int:
         return 2**63
 
 
+@contextmanager
+def limit_memory(nbytes: int):
+    """Lower the limit of `require_memory` in this thread, for files from other machines.
+
+    nbytes: Most memory that one request may need [byte].
+    """
+    token = _LIMIT.set(nbytes)
+    try:
+        yield
+    finally:
+        _LIMIT.reset(token)
+
+
 def require_memory(what: str, needed: int):
-    """Raise DoesNotFit if `needed` [byte] exceeds the available memory."""
+    """Raise DoesNotFit if `needed` [byte] exceeds the available memory.
+
+    Raise TooLarge if it exceeds the limit of `limit_memory`.
+    """
+    limit = _LIMIT.get()
+    if limit is not None and needed > limit:
+        raise TooLarge(what, min(needed, 2**63), limit)
     available = host_memory()
     if needed > available:
         raise DoesNotFit(what, min(needed, 2**63), available, "this computer")

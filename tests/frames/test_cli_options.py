@@ -90,6 +90,7 @@ ROWS = {
     | {
         "seed": (f"{CHART} -o out.npz", "--seed 5"),
         "frames": (f"{CHART} -o out.npz", "--frames 2"),
+        "frame": (f"{CHART} -o out.npz", "--frame 3"),
         "capture": (f"{CHART} -o out.npz", "--capture burst=2"),
         "out": (CHART, "-o out.npz"),
         "bits": (f"{CHART} -o out.png", "--bits 16"),

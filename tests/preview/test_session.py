@@ -209,15 +209,15 @@ class Broken:
 
 def test_scenes_around_a_damaged_one_can_be_shown():
     producer = Producer(Broken(), open_device("numpy"), 1 / 30)
-    assert producer._scene_in(STATE, 1).name == "scene 1"
+    assert producer._given_scene(1).name == "scene 1"
     for _ in range(2):
         with pytest.raises(BadData, match="scene 2 is damaged"):
-            producer._scene_in(STATE, 2)
-    assert producer._scene_in(STATE, 3).name == "scene 3"
+            producer._given_scene(2)
+    assert producer._given_scene(3).name == "scene 3"
     with pytest.raises(BadData, match="scene 2 is damaged"):
-        producer._scene_in(STATE, 2)
-    assert producer._scene_in(STATE, 0).name == "scene 0"
-    assert producer._scene_in(STATE, 1).name == "scene 1"
+        producer._given_scene(2)
+    assert producer._given_scene(0).name == "scene 0"
+    assert producer._given_scene(1).name == "scene 1"
 
 
 def test_a_producer_makes_what_a_simulator_does():

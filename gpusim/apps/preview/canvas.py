@@ -44,6 +44,7 @@ class Canvas:
         self.edge: tuple[slice, slice] | None = None
         self.measures = False
         self._count = 1  # pictures side by side
+        self._aspect = shape[1] / shape[0]  # of all of them
         self._width = shape[1]  # of the picture on the screen [pixel]
         self._held: tuple | None = None  # start of a drag: row, column of the canvas, and the crop
 
@@ -51,7 +52,7 @@ class Canvas:
         """Make the elements."""
         rows, cols = self._shape
         with ui.element("div").classes("gp-picture") as self._box:
-            self._box.style(f"--gp-aspect: {cols / rows:.6f}")
+            self._box.style(f"--gp-aspect: {self._aspect:.6f}")
             self._picture: Any = Picture(f"/picture/{self._token}", cols, rows).on(
                 "size", self._on_size
             )
@@ -63,6 +64,23 @@ class Canvas:
                     .style("width: 100%; height: 100%")
                 )
                 self._overlay.on("wheel.prevent", self._on_wheel, ["deltaY"], throttle=0.1)
+
+    def follow(self, shape: tuple[int, int], count: int) -> None:
+        """Take frames of another shape, rows and columns, of which all is shown first.
+
+        count: pictures side by side.
+        """
+        if shape != self._shape:
+            self._shape, self.at, self.edge = shape, None, None
+            self._overlay._props["size"] = shape[::-1]
+            self._overlay.update()
+            self._set_crop(None)
+            self._draw_edge()
+        self._count = count
+        aspect = count * shape[1] / shape[0]
+        if aspect != self._aspect:
+            self._aspect = aspect
+            self._box.style(f"--gp-aspect: {aspect:.6f}")
 
     def _on_wheel(self, event):
         self.zoom(1 if event.args["deltaY"] < 0 else -1)
@@ -91,13 +109,6 @@ class Canvas:
                     self.zoom(1)
                 else:
                     self.fit()
-
-    def show_beside(self, count: int) -> None:
-        """Make room for so many pictures side by side."""
-        if count != self._count:
-            self._count = count
-            rows, cols = self._shape
-            self._box.style(f"--gp-aspect: {count * cols / rows:.6f}")
 
     def _find_pixel(self, y, x):
         """Return row and column of the frame at a place of the canvas, in units of the whole frame."""

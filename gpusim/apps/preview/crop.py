@@ -23,6 +23,10 @@ class Crop:
         """Slices of its rows and columns."""
         return slice(self.top, self.top + self.rows), slice(self.left, self.left + self.cols)
 
+    def fits(self, shape: tuple[int, ...]) -> bool:
+        """Return whether it lies inside a frame of this shape (rows, columns ...)."""
+        return self.top + self.rows <= shape[0] and self.left + self.cols <= shape[1]
+
     def move(self, down: int, right: int, shape: tuple[int, int]) -> "Crop":
         """Return the crop moved by some pixels, inside a frame of this shape."""
         top = min(max(self.top + down, 0), shape[0] - self.rows)

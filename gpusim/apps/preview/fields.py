@@ -11,7 +11,7 @@ from gpusim.apps.preview.canvas import mark
 from gpusim.apps.preview.control import PLACES, Control, as_text, parse
 from gpusim.domain.errors import format_value
 
-OPEN = ("Exposure", "Lens")  # groups, at first
+OPEN = ("Scene", "Exposure", "Lens")  # groups, at first
 
 
 class Field:

@@ -1,13 +1,9 @@
 """The preview's page: controls, the picture and its data."""
 
-import tempfile
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
-from urllib.parse import quote
 
 from nicegui import app, run, ui
 
@@ -15,11 +11,17 @@ from gpusim.apps.preview.canvas import Canvas, mark
 from gpusim.apps.preview.compare_bar import CompareBar
 from gpusim.apps.preview.comparison import describe_step
 from gpusim.apps.preview.control import Control, as_text
-from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, LUMINANCE, OWN, TOLERANCES, VIEWS
+from gpusim.apps.preview.controls import CONTROLS, GROUPS, LUMINANCE, TOLERANCES, VIEWS
 from gpusim.apps.preview.curves import histogram, response
 from gpusim.apps.preview.fields import Field, Group
+from gpusim.apps.preview.filmstrip import Filmstrip
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
+from gpusim.apps.preview.light_chooser import LightChooser
 from gpusim.apps.preview.measures import SPAN
+from gpusim.apps.preview.receiver import notify_errors
+from gpusim.apps.preview.recipes import Start
+from gpusim.apps.preview.saving import SaveMenu
+from gpusim.apps.preview.scene_chooser import SceneChooser
 from gpusim.apps.preview.session import Session
 from gpusim.apps.preview.sessions import Sessions
 from gpusim.apps.preview.state import State
@@ -28,16 +30,22 @@ from gpusim.domain.errors import GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
 
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
-FORMATS = (".png", ".dng", ".exr", ".npz")
 
 
 class Page:
-    """One client's page. title: title of the scene; shape: rows and columns of its frames."""
+    """One client's page.
+
+    title: of the page. shape: rows and columns of its first frames. start: how the preview was started.
+    """
 
     def __init__(
-        self, session: Session, token: str, title: str, shape: tuple[int, int], scene: str
+        self, session: Session, token: str, title: str, shape: tuple[int, int], start: Start
     ):
-        self.session, self._title, self._scene = session, title, scene
+        self.session, self._title = session, title
+        self._scene = SceneChooser(session, self._set)
+        self._light = LightChooser(session, self._set)
+        self._films = Filmstrip(session, self._scene.show)
+        self._saving = SaveMenu(session, start)
         self._canvas = Canvas(session, token, shape)
         self._elements: dict[str, Any] = {}
         self._fields: dict[str, Field] = {}
@@ -59,6 +67,7 @@ class Page:
             with ui.element("div").classes("gp-stage"):
                 self._canvas.build()
             with ui.element("div").classes("gp-tools"):
+                self._films.build()
                 self._build_tools()
             below = ui.element("div").classes("gp-below")
             with below.props('tabindex=0 role=region aria-label="measurements"'):
@@ -79,15 +88,7 @@ class Page:
             self._icon("history", "steps, to go back to any of them", self._show_history)
             self._icon("contrast", "light or dark page", self._theme.toggle)
             self._icon("fullscreen", "full screen", ui.fullscreen().toggle)
-            with (
-                ui.button("Save", icon="save").props(f"dense flat no-caps {mark('save')}"),
-                ui.menu(),
-            ):
-                ui.menu_item("camera.toml", self._save_camera).props(mark("save camera"))
-                for suffix in FORMATS:
-                    item = ui.menu_item(f"frame{suffix}", partial(self._save_frame, suffix))
-                    item.props(mark(f"save {suffix}"))
-                ui.menu_item("link and command line", self._show_link).props(mark("show link"))
+            self._saving.build()
 
     def _build_tools(self):
         with ui.element("div").classes("gp-bar"):
@@ -125,16 +126,17 @@ class Page:
         search = ui.input(placeholder="search the controls", on_change=self._search)
         search.props(f'dense clearable {mark("search")} aria-label="search the controls"')
         search.classes("w-full")
+        with Group("Scene").element:
+            self._scene.build()
         for name, controls in GROUPS.items():
             group = Group(name)
             self._groups.append(group)
             with group.element:
                 group.fields = [self._build_control(control) for control in controls]
         with Group("Light").element:
-            self._choice("light", "light", (OWN, *LIGHTS), self._light)
-            change = partial(self._take_luminance)
+            self._light.build()
             reset = partial(self._set, luminance=None)
-            self._luminance = Field(LUMINANCE, change, reset, "luminance")
+            self._luminance = Field(LUMINANCE, self._take_luminance, reset, "luminance")
 
     def _build_control(self, control: Control):
         change, reset = partial(self._change, control.name), partial(self._reset, control.name)
@@ -218,9 +220,6 @@ class Page:
     def _tolerance(self, name):
         self._set(tolerance=name)
 
-    def _light(self, name):
-        self._set(light=None if name == OWN else name)
-
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
 
@@ -281,7 +280,7 @@ class Page:
     async def _error_map(self):
         session = self.session
         ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
-        with _notify_errors():
+        with notify_errors():
             compare = await session.compute(session.producer.error, session.state, session.number)
             self._show_error_map(*await run.io_bound(compare))
 
@@ -318,8 +317,9 @@ class Page:
             for name in ("view", "camera", "tolerance"):
                 self._elements[name].value = getattr(state, name)
             self._elements["live"].value = state.is_live
-            self._elements["light"].value = state.light or OWN
             self._compare.show()
+            self._scene.update()
+            self._light.update()
             if self._is_moving:
                 self._elements["frame"].value = state.frame
         except GpusimError:
@@ -360,7 +360,7 @@ class Page:
 
     def _show_facts(self, shown):
         session = self.session
-        self._canvas.show_beside(shown.count)
+        self._canvas.follow(shown.facts["shape"], shown.count)
         if self._is_moving and session.state.is_live:
             self._is_updating = True
             self._elements["frame"].value = shown.number
@@ -404,50 +404,12 @@ class Page:
         self._elements["edge"].text = text
         self._elements["response"].content = curve
 
-    # saved files
 
-    def _save_camera(self):
-        with _notify_errors():
-            self.session.state.build()
-            ui.download.content(self.session.state.toml(), "camera.toml")
+def mount(made, first: State, title: str, shape: tuple[int, int], start: Start) -> Sessions:
+    """Add the page and its websocket to NiceGUI's application.
 
-    async def _save_frame(self, suffix):
-        session = self.session
-        number = session.shown.number if session.shown else session.state.frame
-        with _notify_errors():
-            data = await session.compute(
-                _read_saved, session.producer, session.state, number, suffix
-            )
-            ui.download.content(data, f"frame{suffix}")
-
-    def _show_link(self):
-        state = self.session.state
-        with ui.dialog() as dialog, ui.card().classes("max-w-[640px]"):
-            ui.label("The page with these settings:")
-            ui.code(f"/?state={quote(state.link(), safe='')}").props(mark("link"))
-            ui.label("The same on the command line, with the camera saved next to it:")
-            ui.code(state.command(self._scene)).props(mark("command"))
-        dialog.open()
-
-
-@contextmanager
-def _notify_errors():
-    """Show an error of the block on the page."""
-    try:
-        yield
-    except GpusimError as error:
-        ui.notify(str(error), type="negative")
-
-
-def _read_saved(producer, state, number, suffix):
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"frame{suffix}"
-        producer.frame(state, number).save(path)
-        return path.read_bytes()
-
-
-def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) -> Sessions:
-    """Add the page and its websocket to NiceGUI's application. made: makes a client's Producer."""
+    made: makes a client's Producer. first: settings of a new page. Others: see `Page`.
+    """
     from fastapi import WebSocket, WebSocketDisconnect
 
     sessions = Sessions(made, first)
@@ -459,7 +421,7 @@ def mount(made, first: State, title: str, shape: tuple[int, int], scene: str) ->
         except GpusimError as error:
             ui.label(str(error)).classes("text-red-500")
             return
-        Page(session, token, title, shape, scene).build()
+        Page(session, token, title, shape, start).build()
         ui.run_javascript(f"history.replaceState(null, '', '/?s={token}')")
 
     @app.websocket("/picture/{token}")

@@ -12,16 +12,20 @@ import numpy as np
 from gpusim.apps.preview.comparison import compare
 from gpusim.apps.preview.half import HalfLoop
 from gpusim.apps.preview.measures import edge, error_map, light, on_host
+from gpusim.apps.preview.shelf import Shelf
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Scenes
 from gpusim.backends import Device
 from gpusim.captures.capture import Capture, Light
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, Conflict
-from gpusim.io.scene.scenes import relight
+from gpusim.domain.digest import digest
+from gpusim.domain.errors import BadData, Conflict, GpusimError
+from gpusim.domain.scene import PANORAMA
+from gpusim.io.scene.scenes import open_again, relight
 from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.measure.checker import checker_of
 from gpusim.measure.mosaic import color_mosaic
+from gpusim.optics.panorama import view_panorama
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.loop import Loop
 from gpusim.pipeline.report import Error
@@ -51,10 +55,18 @@ class Producer:
 
     It holds no memory of the device before its first picture, and after `release`.
 
-    Attributes:
+    Args:
+        scenes: Scenes that are shown while a state names none.
+        device: The device.
         period: Least time between frames of moving scenes [s], 0 for still ones.
+        capture: Capture of each picture; None is one frame.
+        shelf: Scenes that states name, and their files.
+
+    Attributes:
+        period: See there.
         frames: Number of frames.
         device: The device.
+        shelf: See there.
     """
 
     def __init__(
@@ -63,12 +75,14 @@ class Producer:
         device: Device,
         period: float = 0.0,
         capture: Capture | None = None,
+        shelf: Shelf | None = None,
     ):
         if capture is not None and capture.has_frames:
             reason = "a preview shows one frame of each scene"
             raise Conflict("capture", reason, "merge its frames")
         self._scenes, self.device, self.period = scenes, device, period
         self._capture = capture
+        self.shelf = shelf or Shelf()
         self.frames = NUMBERS if scenes.is_still else scenes.count
         self.release()
 
@@ -77,10 +91,12 @@ class Producer:
         self._built: tuple[State | None, Camera | None] = None, None
         self._loop: Loop | None = None
         self._half = HalfLoop()
+        self._shape: tuple[int, int] = 0, 0  # of the last picture that was no half draft
         self._tolerance: str | None = None
         self._shown: tuple = (None, None)  # number and scene
         self._arriving, self._next = self._scenes.between(0, 0), -1
-        self._lit: tuple = (None, None, None, None)
+        self._lit: tuple = (None, (), None)  # scene, light and luminance, and the lit scene
+        self._seen: tuple = (None, (), None)  # panorama, what its view depends on, and the view
         self._others: list[Producer] = []
         self._checker: tuple = (None, None)
 
@@ -104,6 +120,7 @@ class Producer:
         """
         begun = time.perf_counter()
         loop = self._half_loop(state, number) if drafts and is_half else None
+        is_half = loop is not None
         if loop is None:
             loop = self._update(state, number, drafts)
         show = {
@@ -114,6 +131,8 @@ class Producer:
         }
         shown = self._shown_frame(loop, state.seed, number)
         codes = np.ascontiguousarray(show[state.view](shown))
+        if not is_half:
+            self._shape = codes.shape[:2]
         account, exposure = loop.account, loop.expose()
         plan = loop.plan
         tolerance = None if plan.is_draft else loop.simulator.tolerance
@@ -130,11 +149,13 @@ class Producer:
                 "sensor.exposure_time_ms": 1e3 * exposure.exposure_time,
                 "sensor.gain_dn_per_e": exposure.camera.sensor.gain_dn_per_electron,
             },
+            "scene": state.scene.key,
+            "shape": self._shape,
         }
         others = state.others
         del self._others[len(others) :]  # frees their memory on the device
         while len(self._others) < len(others):
-            self._others.append(Producer(self._scenes, self.device, capture=self._capture))
+            self._others.append(self._companion())
         if others:
             pairs = zip(self._others, others, strict=True)
             shown = [own.picture(other, number, drafts).codes for own, other in pairs]
@@ -147,8 +168,8 @@ class Producer:
 
         Raises as `picture`.
         """
-        simulator = Simulator(state.build(), device=self.device, tolerance=state.asked)
-        scene = self._scene_in(state, number)
+        simulator = Simulator(self.build(state), device=self.device, tolerance=state.asked)
+        scene = self._scene_in(state, number, simulator.camera)
         if self._capture is not None:
             first = number * self._capture.count
             (frame,) = self._capture.take(simulator, scene, seed=state.seed, first=first)
@@ -162,8 +183,8 @@ class Producer:
         returns. Raises as `picture` and `Simulator` with `verify` do; the function raises BadData
         for a large frame with a blur that varies over the field.
         """
-        simulator = Simulator(state.build(), device=self.device, tolerance=state.asked)
-        scene = self._scene_in(state, number)
+        simulator = Simulator(self.build(state), device=self.device, tolerance=state.asked)
+        scene = self._scene_in(state, number, simulator.camera)
         require_truth(simulator.camera, scene)
         exposure = simulator.expose(scene)
         exposure = replace(exposure, mean=self._on_host(exposure.mean))
@@ -213,9 +234,9 @@ class Producer:
     def _build(self, state):
         """Return the camera of a state."""
         last, camera = self._built
-        wanted = state.camera, state.changes
-        if last is None or camera is None or (last.camera, last.changes) != wanted:
-            camera = state.build()
+        wanted = state.camera, state.changes, state.files
+        if last is None or camera is None or (last.camera, last.changes, last.files) != wanted:
+            camera = self.build(state)
             self._built = state, camera
         return camera
 
@@ -224,10 +245,12 @@ class Producer:
         is_whole = self._capture is not None or bool(state.others)
         if is_whole or self._loop is None or self._tolerance != state.tolerance:
             return None
-        return self._half.update(self._loop, self._build(state), self._scene_in(state, number))
+        camera = self._build(state)
+        return self._half.update(self._loop, camera, self._scene_in(state, number, camera))
 
     def _update(self, state, number, drafts):
-        camera, scene = self._build(state), self._scene_in(state, number)
+        camera = self._build(state)
+        scene = self._scene_in(state, number, camera)
         if self._loop is None or self._tolerance != state.tolerance:
             simulator = Simulator(camera, device=self.device, tolerance=state.asked)
             self._loop, self._tolerance = simulator.loop(scene), state.tolerance
@@ -248,7 +271,34 @@ class Producer:
                 raise
         return self._loop
 
-    def _scene_in(self, state, number):
+    def build(self, state: State) -> Camera:
+        """Return the camera of a state, whose files are the client's. Raises as `State.build` does."""
+        uploads = self.shelf.uploads
+        try:
+            return state.with_paths(uploads.path).build()
+        except GpusimError as error:
+            raise uploads.shorten(error) from error
+
+    def _companion(self):
+        """Return a producer of the same scenes for a second camera."""
+        return Producer(self._scenes, self.device, capture=self._capture, shelf=self.shelf)
+
+    def _scene_in(self, state, number, camera):
+        """Return the scene of a frame, in its light, as a camera sees it."""
+        choice = state.scene
+        own = self._given_scene(number) if choice.is_given else self.shelf.open(choice)
+        scene = self._relight(own, state)
+        if scene.projection != PANORAMA:
+            return scene
+        seen, seen_by, view = self._seen
+        by = choice.size, digest(camera.optics), camera.sensor.pixel_pitch
+        if seen is not scene or seen_by != by:
+            view = view_panorama(scene, camera, size=choice.size)
+            self._seen = scene, by, view
+        return view
+
+    def _given_scene(self, number):
+        """Return the scene of a frame of those that the preview was started with."""
         number = 0 if self._scenes.is_still else number % self._scenes.count
         if self._shown[0] != number:
             if number != self._next:
@@ -256,13 +306,19 @@ class Producer:
             self._next = -1  # if the scene cannot be read, the next request starts anew
             self._shown = number, next(self._arriving)
             self._next = number + 1
-        own = self._shown[1]
+        return self._shown[1]
+
+    def _relight(self, own, state):
         if state.light is None and state.luminance is None:
             return own
-        light, luminance, last, scene = self._lit
-        if last is not own or (light, luminance) != (state.light, state.luminance):
-            scene = relight(own.name, own, state.light, state.luminance)
-            self._lit = state.light, state.luminance, own, scene
+        key = state.light, state.luminance, state.files.get(state.light)
+        last, last_key, scene = self._lit
+        if last is not own or key != last_key:
+            change = relight if state.scene.is_given else open_again
+            light = state.with_paths(self.shelf.uploads.path).light
+            name = own.name if state.scene.is_given else state.scene.name
+            scene = change(name, own, light=light, luminance=state.luminance)
+            self._lit = own, key, scene
         return scene
 
     def _on_host(self, array):

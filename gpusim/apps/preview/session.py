@@ -279,7 +279,10 @@ class Session:
         codes = shown.codes
         if crop is not None:
             parts = np.split(codes, shown.count, axis=1)
-            codes = np.concatenate([part[crop.part] for part in parts], axis=1)
+            if not crop.fits(parts[0].shape):  # of another scene
+                crop = None
+            else:
+                codes = np.concatenate([part[crop.part] for part in parts], axis=1)
         if settles or crop is not None:
             return shown, PNG, _png(codes)
         return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)

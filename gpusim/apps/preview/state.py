@@ -1,20 +1,23 @@
 """Settings of a client of the preview: changes of a camera file, the scene's light, and the view."""
 
 import json
+import re
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from shlex import join
 from time import monotonic
 from typing import Any
 
 from gpusim.apps.preview.control import Control
 from gpusim.apps.preview.controls import CONTROLS, TOLERANCES, VIEWS
+from gpusim.apps.preview.scene_choice import SceneChoice, is_file_name, is_sha
 from gpusim.data.lights import BRIGHTEST
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.io.camera.cameras import (
     REPLACED,
     anchor_paths,
+    camera_names,
     camera_of,
     camera_table,
     override_keys,
@@ -24,6 +27,7 @@ COMPARISONS = ("split", "side by side", "difference", "blink")
 MOST_SNAPSHOTS, MOST_BESIDE = 8, 3
 MOST_STEPS, REST = 200, 1.0  # of undo; [s] after which a slider that moves again makes another
 LONGEST_LINK = 8192  # [character]
+SUFFIX = re.compile(r"\.[A-Za-z]\w*$")
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,8 @@ class State:
         against: Name of the snapshot that is compared with. None: nothing is compared.
         compare: One of COMPARISONS.
         split: Part of the width left of which this camera's picture is shown.
+        scene: The scene.
+        files: Name -> SHA-256 of the other files that the settings name: of a light, of the camera.
     """
 
     camera: str
@@ -57,6 +63,8 @@ class State:
     against: str | None = None
     compare: str = "split"
     split: float = 0.5
+    scene: SceneChoice = field(default_factory=SceneChoice)
+    files: dict[str, str] = field(default_factory=dict)
 
     @property
     def others(self) -> tuple["State", ...]:
@@ -132,26 +140,44 @@ class State:
         """Return the camera. Raises as `open_camera` does."""
         return camera_of(camera_table(self.camera)[0], self.table())
 
+    def with_paths(self, path_of: Callable[[str, str], Path]) -> "State":
+        """Return the settings with the paths of the files in `files` in place of their names.
+
+        path_of: Function from a name and a SHA-256 to the path. Raises as it does.
+        """
+        if not self.used_files:
+            return self
+        paths = {name: str(path_of(name, sha)) for name, sha in self.used_files.items()}
+        light = None if self.light is None else paths.get(self.light, self.light)
+        changes = {key: _with_paths(value, paths) for key, value in self.changes.items()}
+        return replace(self, light=light, changes=changes)
+
     def toml(self) -> str:
         """Return the text of the camera file."""
         import tomli_w
 
         return tomli_w.dumps(self.table())
 
-    def command(self, scene: str, file: str = "camera.toml") -> str:
-        """Return the command line of the picture, with the camera's file next to it."""
-        words = ["gpusim", "simulate", scene, "--camera", file]
-        given = {"light": self.light, "luminance": self.luminance, "tolerance": self.asked}
-        for option, value in given.items():
-            if value is not None:
-                text = f"{value:g}" if isinstance(value, float) else str(value)
-                words += [f"--{option}", text]
-        return join([*words, "--seed", str(self.seed), "-o", "frame.npz"])
-
     @property
     def asked(self) -> str | None:
         """Tolerance for a Simulator."""
         return None if self.tolerance == "exact" else self.tolerance
+
+    @property
+    def _texts(self) -> set[str]:
+        """All texts of the settings that may name files, except the camera and the scene."""
+        kept = [one["changes"] for one in self.snapshots.values()]
+        return {self.light or "", *_texts_in(self.changes), *_texts_in(kept)}
+
+    @property
+    def used_files(self) -> dict[str, str]:
+        """The part of `files` that the settings name."""
+        return {name: sha for name, sha in self.files.items() if name in self._texts}
+
+    @property
+    def _names_other_files(self) -> bool:
+        """Whether the settings name files that no client has sent: files of this machine."""
+        return any(names_file(text) for text in self._texts - self.files.keys())
 
     @property
     def is_sound(self) -> bool:
@@ -161,8 +187,12 @@ class State:
             isinstance(self.camera, str)
             and isinstance(self.changes, dict)
             and self.changes.keys() <= {*CONTROLS}
-            and not any(_names_file(value) for value in self.changes.values())
+            and not any(value is None for value in self.changes.values())
             and (self.light is None or isinstance(self.light, str))
+            and isinstance(self.files, dict)
+            and all(is_file_name(name) and is_sha(sha) for name, sha in self.files.items())
+            and isinstance(self.scene, SceneChoice)
+            and self.scene.is_sound
             and (one is None or (type(one) in (int, float) and 0 < one <= BRIGHTEST))
             and self.tolerance in TOLERANCES
             and self.view in VIEWS
@@ -180,10 +210,11 @@ class State:
 
     def link(self) -> str:
         """Return all settings as text for an address, which `State.of_link` reads."""
-        return json.dumps(
-            {key: value for key, value in asdict(self).items() if value != _DEFAULTS.get(key)},
-            separators=(",", ":"),
-        )
+        own = replace(self, files=self.used_files)
+        found = {key: value for key, value in asdict(own).items() if value != _DEFAULTS.get(key)}
+        if "scene" in found:
+            found["scene"] = {key: value for key, value in found["scene"].items() if value}
+        return json.dumps(found, separators=(",", ":"))
 
     @classmethod
     def of_link(cls, text: str, camera: str) -> "State":
@@ -195,9 +226,12 @@ class State:
             if len(text) > LONGEST_LINK:
                 raise ValueError
             found = {"camera": camera} | json.loads(text)
+            found["scene"] = SceneChoice.of_json(found.get("scene", {}))
             state = cls(**found)
-            known = state.is_sound and all(
-                state.snapshot(name).is_sound for name in state.snapshots
+            known = (
+                state.is_sound
+                and all(state.snapshot(name).is_sound for name in state.snapshots)
+                and not state._names_other_files
             )
         except (ValueError, TypeError, RecursionError):  # RecursionError: of JSON, lists in lists
             known = False
@@ -205,24 +239,38 @@ class State:
             raise BadData("link: not one of this preview's; wanted one that its page made")
         # a link may come from anybody: it names no files of this machine
         kept = {
-            name: one | {"camera": camera} if Path(one["camera"]).suffix else one
+            name: one if one["camera"] in camera_names() else one | {"camera": camera}
             for name, one in state.snapshots.items()
         }
         state = replace(state, snapshots=kept)
-        return replace(state, camera=camera) if Path(state.camera).suffix else state
+        return state if state.camera in camera_names() else replace(state, camera=camera)
 
     def snapshot(self, name: str) -> "State":
         """Return the state with the camera of a snapshot."""
         return replace(self, **self.snapshots[name], snapshots={}, against=None)
 
 
-def _names_file(value):
-    """Return whether a value of a link contains the name of a file."""
-    if isinstance(value, dict):
-        return any(map(_names_file, value.values()))
+def names_file(text: str) -> bool:
+    """Return whether a text names a file, not a built-in table: "FL3.15" has no suffix."""
+    return bool(set(text) & set("/\\")) or SUFFIX.search(text) is not None
+
+
+def _with_paths(value, paths):
+    """Return a value of JSON with other texts."""
     if isinstance(value, list):
-        return any(map(_names_file, value))
-    return isinstance(value, str) and (bool(Path(value).suffix) or "/" in value or "\\" in value)
+        return [_with_paths(item, paths) for item in value]
+    if isinstance(value, dict):
+        return {key: _with_paths(item, paths) for key, item in value.items()}
+    return paths.get(value, value) if isinstance(value, str) else value
+
+
+def _texts_in(value):
+    """Yield all texts in a value of JSON."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list | dict):
+        for item in value.values() if isinstance(value, dict) else value:
+            yield from _texts_in(item)
 
 
 _DEFAULTS = {key: value for key, value in asdict(State("")).items() if key != "camera"}

@@ -302,10 +302,14 @@ def open_again(
 ) -> Scene:
     """Return the scene that `open_scene` would open with a light and a luminance, without reading the file.
 
-    path: of the file. scene: opened without them; no view of a panorama. light, luminance: see
-    `open_scene`. Raises BadFile, UnknownName, OutOfRange.
+    path: of the file, or name of the chart. scene: opened without them; no view of a panorama. light,
+    luminance: see `open_scene`. Raises BadFile, UnknownName, OutOfRange.
     """
     level = LUMINANCE if luminance is None else luminance
+    if str(path) in CHARTS:
+        return dataclasses.replace(
+            scene, illuminant=white_radiance(illuminant(light or LIGHT), level)
+        )
     own = scene.illuminant.values
     if np.array_equal(own, _named_white(LIGHT, LUMINANCE).values):
         # no light in the file: `open_scene` would take the given one
