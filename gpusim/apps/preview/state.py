@@ -42,6 +42,7 @@ class State:
         against: Name of the snapshot that is compared with. None: nothing is compared.
         compare: One of COMPARISONS.
         split: Part of the width left of which this camera's picture is shown.
+        marks_clipped: Whether clipped pixels are marked in the picture.
     """
 
     camera: str
@@ -57,6 +58,7 @@ class State:
     against: str | None = None
     compare: str = "split"
     split: float = 0.5
+    marks_clipped: bool = False
 
     @property
     def others(self) -> tuple["State", ...]:
@@ -167,6 +169,7 @@ class State:
             and self.tolerance in TOLERANCES
             and self.view in VIEWS
             and isinstance(self.is_live, bool)
+            and isinstance(self.marks_clipped, bool)
             and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
             and isinstance(kept, dict)
             and len(kept) <= MOST_SNAPSHOTS
