@@ -204,6 +204,21 @@ class Account:
         names = tuple(name for name, bound in self.bounds.items() if not bound.is_known)
         return (*names, self.doubt) if self.doubt else names
 
+    def by_cause(self, tolerance: Tolerance | None) -> tuple[str, dict[str, float]]:
+        """Return the known errors by cause, in the figure that is closest to its limit.
+
+        Args:
+            tolerance: Limits on the errors; None: the figure is the RMS.
+
+        Returns:
+            Name of the figure ("rms", "p999_sigma" or "max_sigma"), and its value for each cause
+            that has one above 0, and for "all together".
+        """
+        _, name, *_ = self.total.nearest(tolerance or Tolerance(rms=1.0))
+        errors = {cause: getattr(bound, name) for cause, bound in self.bounds.items()}
+        errors = {cause: value for cause, value in errors.items() if 0 < value < inf}
+        return name, errors | {"all together": getattr(self.total, name)}
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         return {

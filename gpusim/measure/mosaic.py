@@ -40,3 +40,21 @@ def tile(period: np.ndarray, shape) -> np.ndarray:
     """Return a period of a mosaic, (high, wide) or (high, wide, C), repeated over (rows, cols)."""
     rows, cols = (np.arange(count) % step for count, step in zip(shape, period.shape, strict=False))
     return period[np.ix_(rows, cols)]
+
+
+def channel_values(
+    sensor: Sensor, values: np.ndarray, corner: tuple[int, int] = (0, 0)
+) -> dict[str, np.ndarray]:
+    """Return the values of the pixels of each channel that a part of a mosaic has, (N,) by letter.
+
+    values: (rows, cols), or (C, rows, cols) of stacked pixels. corner: row and column of its first
+    pixel in the frame.
+    """
+    if values.ndim == 3:
+        return {
+            letter: plane.ravel() for letter, plane in zip(sensor.channels, values, strict=True)
+        }
+    period = np.roll(sensor.cfa_indices, [-at for at in corner], axis=(0, 1))
+    own = tile(period, values.shape)
+    found = {letter: values[own == index] for index, letter in enumerate(sensor.channels)}
+    return {letter: one for letter, one in found.items() if one.size}

@@ -4,7 +4,6 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.account import Tolerance
 from gpusim.domain.errors import BadData
 from gpusim.domain.scene import Scene, checked_scene
 from gpusim.judge.plan_summary import Forecast
@@ -101,11 +100,7 @@ def plan(what: Forecast | Report, figure: Any = None) -> Any:
         )
     else:
         raise BadData(f"plan: {type(what).__name__}, wanted a Forecast or a frame's Report")
-    _, name, *_ = account.total.nearest(tolerance or Tolerance(rms=1.0))
-    errors = {cause: getattr(bound, name) for cause, bound in account.bounds.items()}
-    errors = {cause: value for cause, value in errors.items() if 0 < value < np.inf} | {
-        "all together": getattr(account.total, name)
-    }
+    name, errors = account.by_cause(tolerance)
     ms = {stage: value for stage, value in ms.items() if value > 0}
     height = 1.6 + 0.3 * max(len(ms), len(errors) + 1)
     figure, axes = panels(figure, 1, 2, (12.0, height))

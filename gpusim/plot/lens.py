@@ -6,11 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.data.lights import light_of
-from gpusim.data.weights import product_weights
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, format_value
-from gpusim.domain.spectrum import Spectrum, photons_from_energy
+from gpusim.domain.spectrum import Spectrum
+from gpusim.measure.lens import (
+    ACROSS,
+    check_spread,
+    lens_mtf,
+    pixel_mtf,
+    point_spread,
+    sensed_light,
+    spread_reach,
+)
 from gpusim.optics.lens import lens_of
 from gpusim.plot.canvas import (
     QUIET,
@@ -25,10 +32,7 @@ from gpusim.plot.canvas import (
 )
 
 WAVELENGTHS = (450.0, 550.0, 650.0)  # [nm] default
-STEP = 20.0  # [nm] between the wavelengths of a channel
 POINTS = 241  # frequencies of a curve
-ACROSS = 161  # samples along a side of a point spread
-RINGS = 5.0  # least radius of a point spread's picture [Airy radius]
 DECADES = 4  # shown of a point spread
 
 
@@ -71,19 +75,16 @@ def mtf(
     of, place = _check_curves(checked_camera(camera), of), _field(place)
     if direction not in ("across", "down"):
         raise UnknownName("direction", direction, ("across", "down"))
-    sensor, lens = camera.sensor, lens_of(camera)
-    aperture = sensor.aperture[direction == "across"]
+    sensor = camera.sensor
     nyquist = 0.5e-3 / sensor.pixel_pitch  # [cycle/mm]
     frequencies = np.linspace(0, _highest_frequency(camera, of, nyquist), POINTS)
-    own = np.sinc(1e3 * frequencies * aperture)
-    fy, fx = (0.0, 1e3 * frequencies) if direction == "across" else (1e3 * frequencies, 0.0)
+    own = np.abs(pixel_mtf(camera, 1e3 * frequencies, direction))
     ax, colors = axes_of(ax), channel_colors(sensor.channels)
     right = widen_limit(ax, frequencies[-1])
     for one in of:
-        nodes, weights = _light_of(camera, one, light)
-        response = np.abs(weights @ lens.transfer(nodes, fy, fx, place)) * (
-            np.abs(own) if pixel else 1
-        )
+        response = lens_mtf(camera, one, 1e3 * frequencies, direction, place, light)
+        if pixel:
+            response = response * own
         name, is_channel = f"{label} {_name(one)}".strip(), isinstance(one, str)
         curve(
             ax,
@@ -94,9 +95,7 @@ def mtf(
             first=is_channel,
         )
     aperture_label = f"{label} pixel aperture only".strip()
-    ax.plot(
-        frequencies, np.abs(own), color=QUIET, linestyle=":", label=legend_once(ax, aperture_label)
-    )
+    ax.plot(frequencies, own, color=QUIET, linestyle=":", label=legend_once(ax, aperture_label))
     ax.axvline(nyquist, color=QUIET, linewidth=0.8)
     ax.text(nyquist, 1.0, " Nyquist", color="0.4", fontsize="small", va="top", clip_on=True)
     ax.set_xlim(0, right)
@@ -145,21 +144,16 @@ def psf(
     """
     several = of is None or isinstance(of, (list, tuple, np.ndarray))
     of, place = _check_curves(checked_camera(camera), of), _field(place)
-    if lens_of(camera).is_pointlike:
-        raise BadData(
-            f'psf: {camera.name} has optics.model = "none": no point spread to draw; use another model'
-        )
+    check_spread(camera)
     if several and ax is not None:
         raise BadData(
             f"psf: {len(of)} pictures on one ax; use figure =, or of = one wavelength or channel"
         )
     if not several:
-        nodes, weights = _light_of(camera, of[0], light)
-        reach = _reach(camera, nodes, place)
-        energy, step = lens_of(camera).sampled_spread(nodes, place, reach, ACROSS)
+        energy, step = point_spread(camera, of[0], place, light)
         drawn = _spread(
             camera,
-            np.tensordot(weights, energy, 1),
+            energy,
             step,
             axes_of(ax, (4.8, 4.0)),
             f"{camera.name}: point spread, {_name(of[0])}, f/{camera.optics.f_number:g}",
@@ -169,8 +163,8 @@ def psf(
     cols = min(len(of), 3)
     rows = -(-len(of) // cols)
     figure, axes = panels(figure, rows, cols, (3.2 * cols + 1, 3.0 * rows + 0.4))
-    lights = [_light_of(camera, one, light) for one in of]
-    reach = max(_reach(camera, nodes, place) for nodes, _ in lights)
+    lights = [sensed_light(camera, one, light) for one in of]
+    reach = max(spread_reach(camera, nodes, place) for nodes, _ in lights)
     known: dict = {}  # channels share their wavelengths
     for one, (nodes, weights), ax in zip(of, lights, axes.flat, strict=False):
         if tuple(nodes) not in known:
@@ -212,13 +206,6 @@ def _spread(camera, energy, step, ax, title):
     return drawn
 
 
-def _reach(camera, wavelengths, place):
-    """Return the distance from its middle up to which a point spread is drawn [m]."""
-    optics, pitch = camera.optics, camera.sensor.pixel_pitch
-    rays = pitch * lens_of(camera).spread(wavelengths, float(np.hypot(*place)))
-    return max(RINGS * float(optics.airy_radius(max(wavelengths))), 0.75 * pitch, 1.5 * rays)
-
-
 def _check_curves(camera, of):
     """Return wavelengths and letters of channels as a checked list."""
     channels = camera.sensor.channels
@@ -247,31 +234,6 @@ def _field(place):
     if not np.hypot(y, x) <= 1 + 1e-9:
         raise OutOfRange("place", (y, x), "up to 1, the frame's corner, from the axis")
     return y, x
-
-
-def _light_of(camera, one, light):
-    """Return wavelengths of a channel's light on the sensor [nm] and their weights.
-
-    Of a wavelength, itself with weight 1.
-    """
-    if not isinstance(one, str):
-        return np.array([float(one)]), np.ones(1)
-    sensor, (shortest, longest) = camera.sensor, lens_of(camera).wavelengths
-    light = photons_from_energy(light_of(light))
-    low = max(sensor.qe.wavelengths[0], light.wavelengths[0], shortest)
-    high = min(sensor.qe.wavelengths[-1], light.wavelengths[-1], longest)
-    if not low < high:
-        raise BadData(f"channel {one}: does not respond to the light {light.name} through the lens")
-    nodes = np.linspace(low, high, int(np.ceil((high - low) / STEP)) + 1)
-    number = sensor.channels.index(one)
-    curve = Spectrum(sensor.qe.wavelengths, sensor.qe.values[number])
-    through = camera.optics.transmission
-    weights = product_weights(
-        nodes, light, curve, *([through] if isinstance(through, Spectrum) else [])
-    )
-    if not weights.sum() > 0:
-        raise BadData(f"channel {one}: does not respond to the light {light.name} through the lens")
-    return nodes, weights / weights.sum()
 
 
 def _name(one):

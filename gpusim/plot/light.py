@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 from itertools import cycle
-from math import ceil
-from operator import index
 from typing import Any
 
 import numpy as np
@@ -15,8 +13,7 @@ from gpusim.data.weights import electrons_per_content, xyz_per_content
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.content import Basis
 from gpusim.domain.display import Display
-from gpusim.domain.errors import BadData, OutOfRange, check_known, format_value
-from gpusim.domain.interpolation import spectral_weights
+from gpusim.domain.errors import BadData, check_known
 from gpusim.domain.noise import Noise
 from gpusim.domain.processor import Processor
 from gpusim.domain.scene import Scene, View, checked_scene
@@ -26,22 +23,20 @@ from gpusim.domain.spectrum import (
     SHORTEST,
     Spectrum,
     energy_from_photons,
-    energy_per_photon,
 )
 from gpusim.measure.ideal import pixel_sums, sample_sums
+from gpusim.measure.spectra import (
+    MODES,
+    ORDER,
+    QUANTITIES,
+    patch_content,
+    patch_spectrum,
+)
 from gpusim.optics.outside import rule_of
-from gpusim.optics.sampling import frame_start
 from gpusim.plot.canvas import STYLES, axes_of, finish, image, panels, picture_size, readable, srgb
 
-# SciPy's names of the border rules
-MODES = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect"}
 UNSEEN = (0.4, 0.4, 0.4)
 BRIGHT = 99.5  # percentile of the luminance shown as white if the white is unknown
-QUANTITIES = {
-    "radiance": "[W m⁻² sr⁻¹ nm⁻¹]",
-    "photons": "[photon s⁻¹ m⁻² sr⁻¹ nm⁻¹]",
-    "reflectance": "[1]",
-}
 
 
 def scene(scene: Scene, ax: Any = None) -> Any:
@@ -117,7 +112,7 @@ def spectra(scene: Scene, at: Any = None, ax: Any = None, *, quantity: str = "ra
             "reflectance"
         )
     found = [
-        (*patch_spectrum(scene, place, quantity), name)
+        (*patch_spectrum(scene, place, quantity), _patch_color(scene, place), name)
         for place, name in zip(*_places(scene, at), strict=True)
     ]
     ax = axes_of(ax)
@@ -136,27 +131,9 @@ def spectra(scene: Scene, at: Any = None, ax: Any = None, *, quantity: str = "ra
     )
 
 
-def patch_spectrum(scene: Scene, place, quantity: str = "radiance"):
-    """Return wavelengths [nm], mean values and the colour of a patch, see `spectra`.
-
-    Reflectances are a cubic spline between the scene's wavelengths, as everywhere, which keeps a
-    lamp's lines visible. Raises BadData, OutOfRange.
-    """
-    window, every = _window(scene, place), np.eye(len(scene.wavelengths))
-    content = sample_sums(scene, every, window).mean(axis=(1, 2))
-    color = _color(scene, content)
-    wavelengths, light = scene.wavelengths, scene.illuminant
-    if quantity == "reflectance":
-        values = scene.content.on_host().surfaces.weigh(every, window).mean(axis=(1, 2))
-    else:
-        own = light.wavelengths
-        fine = np.union1d(wavelengths, own[(own > wavelengths[0]) & (own < wavelengths[-1])])
-        if len(fine) > len(wavelengths):
-            content, wavelengths = spectral_weights(wavelengths, fine) @ content, fine
-        values = content * light.at(wavelengths)
-        if quantity == "radiance":
-            values = values * energy_per_photon(wavelengths)
-    return wavelengths, values, color
+def _patch_color(scene, place):
+    """Return the line colour of a patch; grey if it is invisible."""
+    return _color(scene, patch_content(scene, place))
 
 
 def _color(scene, content):
@@ -264,9 +241,17 @@ def irradiance_codes(
     """
     from gpusim.pipeline.simulator import Simulator
 
-    camera, scene = checked_camera(camera), checked_scene(scene)
+    observer, scene = observer_camera(checked_camera(camera)), checked_scene(scene)
+    loop = Simulator(observer, device=device).loop(scene)
+    return observed_codes(observer, scene, loop.simulator.device.numpy(loop.output("electrons")))
+
+
+def observer_camera(camera: Camera) -> Camera:
+    """Return a camera whose pixels have the colour matching functions of the CIE 1931 observer.
+
+    Its stacked pixels collect for 1 s without noise. Lens, pitch and aperture are the camera's.
+    """
     eye = energy_from_photons(cmf())
-    peak = float(eye.values.max())
     edge = np.array([[0.0]] * 3)
     observer = Spectrum(
         np.concatenate(
@@ -278,12 +263,11 @@ def irradiance_codes(
                 [LONGEST],
             ]
         ),
-        np.concatenate([edge, edge, eye.values / peak, edge, edge], axis=1),
+        np.concatenate([edge, edge, eye.values / eye.values.max(), edge, edge], axis=1),
         "CIE 1931 observer",
     )
-    own = camera.sensor
     sensor = replace(
-        own,
+        camera.sensor,
         qe=observer,
         channels=tuple("XYZ"),
         cfa=("XYZ",),
@@ -301,20 +285,25 @@ def irradiance_codes(
         analog_offset=0.0,
         row_time=0.0,
     )
-    plain = replace(
+    return replace(
         camera,
         sensor=sensor,
         processor=Processor(color="none", white_balance="none"),
         display=Display(),
     )
-    simulator = Simulator(plain, device=device)
-    height, width = own.aperture
+
+
+def observed_codes(observer: Camera, scene: Scene, electrons) -> tuple[np.ndarray, float]:
+    """Return sRGB codes and the illuminance of white from the output "electrons" of a scene.
+
+    observer: result of `observer_camera`. electrons: (3, rows, cols). See `irradiance_codes`.
+    """
+    height, width = observer.sensor.aperture
+    peak = float(energy_from_photons(cmf()).values.max())
     to_lux = LUMINOUS_EFFICACY * peak / (height * width)
-    xyz = to_lux * np.asarray(
-        simulator.device.numpy(simulator.loop(scene).output("electrons")), np.float64
-    )
+    xyz = to_lux * np.asarray(electrons, np.float64)
     if scene.light_is_known:
-        white = to_lux * electrons_per_content(scene, plain).sum(1)
+        white = to_lux * electrons_per_content(scene, observer).sum(1)
         return srgb(xyz / white[1], white / white[1]), float(white[1])
     bright = float(np.percentile(xyz[1], BRIGHT)) or 1.0
     return srgb(xyz / bright), bright
@@ -349,38 +338,6 @@ def _places(scene, at):
     ]
 
 
-def _window(scene, place):
-    """Return the samples of a pixel or region as slices of the content's rows and columns."""
-    try:
-        numbers = [index(one) for one in place]
-    except TypeError:
-        numbers = []
-    if len(numbers) not in (2, 4):
-        raise BadData(
-            f"at = {format_value(place)}: wanted a pixel (column, row), a region (left, top, right, bottom) or a "
-            "list of them"
-        )
-    left, top = numbers[:2]
-    right, bottom = numbers[2:] or (left + 1, top + 1)
-    rows, cols = scene.shape
-    if not (0 <= left < right <= cols and 0 <= top < bottom <= rows):
-        raise OutOfRange(
-            "at",
-            tuple(numbers),
-            f"columns 0 .. {cols - 1} and rows 0 .. {rows - 1} of the frame, right "
-            "and bottom beyond left and top",
-        )
-    ratio, window = scene.samples_per_pixel, []
-    for first, last, pixels, samples in (
-        (top, bottom, rows, scene.samples[0]),
-        (left, right, cols, scene.samples[1]),
-    ):
-        start = scene.margin + frame_start(samples, pixels, ratio)
-        low = int(start + first * ratio + 1e-9)
-        window.append(slice(low, max(low + 1, ceil(start + last * ratio - 1e-9))))
-    return tuple(window)
-
-
 def _apply_view(scene) -> Scene:
     """Return the scene as seen in its view, resampled by splines of fifth order.
 
@@ -401,7 +358,7 @@ def _apply_view(scene) -> Scene:
             scipy.ndimage.map_coordinates(
                 plane.astype(np.float64),
                 [y + middle[0], x + middle[1]],
-                order=5,
+                order=ORDER,
                 mode=MODES[rule_of(scene.border)],
             )
             for plane in content.planes

@@ -1,17 +1,14 @@
 """What is told beside the picture, against closed forms, and the part of it that is shown."""
 
 from dataclasses import replace
-from math import log, pi
 
 import colour
 import numpy as np
 import pytest
-from scipy.special import erf
 
 import gpusim as gs
 from gpusim.apps.preview.crop import Crop, enlarge
-from gpusim.apps.preview.curves import histogram, response
-from gpusim.apps.preview.measures import SPAN, edge, error_map
+from gpusim.apps.preview.measures import SPAN, error_map
 from gpusim.apps.preview.producer import Producer
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Moving, Still
@@ -25,21 +22,6 @@ from gpusim.measure.ideal import ideal
 
 DISPLAY = DISPLAYS["srgb"]
 STATE = State("phone", {"sensor.exposure_time_ms": 20.0}, tolerance="exact", is_live=False)
-
-
-@pytest.mark.parametrize("sigma", [0.8, 1.5])
-def test_the_response_of_a_gaussian_edge(sigma):
-    """exp(-2 pi^2 sigma^2 f^2) is a half at sqrt(ln 2 / 2) / (pi sigma); the part alone is looked at."""
-    y, x = np.indices((90, 100))
-    distance = (x - 50 - (y - 45) * np.tan(np.radians(5))) * np.cos(np.radians(5))
-    grey = 0.4 + 0.3 * erf(distance / (sigma * 2**0.5))
-    linear = np.random.default_rng(1).random((120, 140, 3))
-    linear[20:110, 30:130] = grey[..., None]
-    found = edge(linear, (slice(20, 110), slice(30, 130)))
-    assert found["mtf50"] == pytest.approx((log(2) / 2) ** 0.5 / (pi * sigma), rel=0.02)
-    assert abs(found["angle"]) == pytest.approx(5, abs=0.1)
-    assert max(found["frequencies"]) <= 1 and "<polyline" in response(found)
-    assert "why" in edge(linear, (slice(0, 20), slice(0, 30)))
 
 
 def test_the_difference_of_a_checkers_patches():
@@ -166,11 +148,3 @@ def test_scenes_that_move_are_those_of_a_video():
         assert np.array_equal(
             producer.frame(STATE, number).rgb, producer.picture(STATE, number).codes
         )
-
-
-def test_the_histogram_has_a_line_of_each_channel():
-    found = Producer(Still(gs.chart("ramp", size=(96, 64)), 1), open_device("opencl")).statistics(
-        STATE, 0, (5, 7)
-    )
-    assert {*found["counts"]} == {*"RGB"} and histogram(found).count("<polyline") == 3
-    assert found["pixel"]["row"] == 5 and sum(map(sum, found["counts"].values())) == 96 * 64

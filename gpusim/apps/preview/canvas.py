@@ -48,6 +48,11 @@ class Canvas:
         self._width = shape[1]  # of the picture on the screen [pixel]
         self._held: tuple | None = None  # start of a drag: row, column of the canvas, and the crop
 
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the frames."""
+        return self._shape
+
     def build(self) -> None:
         """Make the elements."""
         rows, cols = self._shape

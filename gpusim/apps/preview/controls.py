@@ -36,7 +36,7 @@ TONES = {
     "shadows": [[0, 0], [0.1, 0.17], [0.3, 0.4], [1, 1]],
     "highlights": [[0, 0], [0.5, 0.5], [0.8, 0.72], [1, 0.9], [2, 1]],
 }
-VIEWS = ("rendered", "raw", "electrons", "noise")
+VIEWS = ("rendered", "raw", "electrons", "noise", "scene", "irradiance")
 
 
 def _make(section, key, label, **options):

@@ -15,9 +15,11 @@ from ipywidgets import HTML, Dropdown, HBox, Layout, VBox
 
 from gpusim.apps.preview.control import PLACES, Control
 from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, LUMINANCE, OWN, TOLERANCES, VIEWS
-from gpusim.apps.preview.curves import histogram
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
+from gpusim.apps.preview.measures import Where
 from gpusim.apps.preview.overrides import Given, table_of
+from gpusim.apps.preview.panels_kept import Kept
+from gpusim.apps.preview.panels_light import histogram
 from gpusim.apps.preview.producer import Producer
 from gpusim.apps.preview.session import DEVICE, HEAD, JPEG, PNG, Session
 from gpusim.apps.preview.state import History, State
@@ -237,12 +239,12 @@ class Preview(HBox):
 
     async def _update_histogram(self):
         try:
-            found = await self._session.compute(
-                self._producer.statistics, self._session.state, self._session.shown.number
-            )
+            found = await self._session.compute(self._producer.inputs, frozenset({"raw"}))
         except Exception:
             return  # the next picture says it, also of a device that fails
-        self._histogram.value = histogram(found)
+        where = Where(found.scene.shape)
+        parts = histogram(found, where, {"scale": "log"}, Kept())
+        self._histogram.value = "".join(part.html() for part in parts)
         self._histogram_time = time.monotonic()
 
 

@@ -5,20 +5,19 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from nicegui import app, run, ui
+from nicegui import app, ui
 
 from gpusim.apps.preview.canvas import Canvas, mark
 from gpusim.apps.preview.compare_bar import CompareBar
 from gpusim.apps.preview.comparison import describe_step
 from gpusim.apps.preview.control import Control, as_text
 from gpusim.apps.preview.controls import CONTROLS, GROUPS, LUMINANCE, TOLERANCES, VIEWS
-from gpusim.apps.preview.curves import histogram, response
+from gpusim.apps.preview.dock import Dock
+from gpusim.apps.preview.errormap import ErrorMap
 from gpusim.apps.preview.fields import Field, Group
 from gpusim.apps.preview.filmstrip import Filmstrip
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
 from gpusim.apps.preview.light_chooser import LightChooser
-from gpusim.apps.preview.measures import SPAN
-from gpusim.apps.preview.receiver import notify_errors
 from gpusim.apps.preview.recipes import Start
 from gpusim.apps.preview.saving import SaveMenu
 from gpusim.apps.preview.scene_chooser import SceneChooser
@@ -47,6 +46,7 @@ class Page:
         self._films = Filmstrip(session, self._scene.show)
         self._saving = SaveMenu(session, start)
         self._canvas = Canvas(session, token, shape)
+        self._dock, self._errors = Dock(session, self._canvas), ErrorMap(session)
         self._elements: dict[str, Any] = {}
         self._fields: dict[str, Field] = {}
         self._groups: list[Group] = []
@@ -71,12 +71,12 @@ class Page:
                 self._build_tools()
             below = ui.element("div").classes("gp-below")
             with below.props('tabindex=0 role=region aria-label="measurements"'):
-                self._build_measures()
+                self._dock.build()
             with ui.element("div").classes("gp-side"):
                 self._build_side()
         ui.keyboard(on_key=self._on_key)
         ui.timer(0.25, self._refresh)
-        ui.timer(0.5, self._statistics)
+        ui.timer(0.1, self._dock.refresh)
         self._update_controls()
 
     def _build_head(self):
@@ -101,7 +101,9 @@ class Page:
             self._icon("fit_screen", "the whole picture (0)", self._canvas.fit)
             words = "drag over a slanted edge: its frequency response (ISO 12233)"
             self._switch("measure", "edge", self._measure).tooltip(words)
-            self._button("error map", "error map", self._error_map)
+            self._button("error map", "error map", self._errors.open)
+            words = "stripes on clipped pixels: red saturated, blue at digital number 0"
+            self._switch("clipping", "clipping", self._mark_clipped).tooltip(words)
             if self._is_moving:
                 self._icon("skip_previous", "frame before (,)", lambda: self._step(-1))
                 self._icon("skip_next", "next frame (.)", lambda: self._step(1))
@@ -113,6 +115,7 @@ class Page:
             ("busy", "gp-busy"),
             ("known", "gp-known"),
             ("left out", "gp-quiet"),
+            ("clipped", "gp-known"),
         ):
             self._keep(name, ui.label(), classes)
 
@@ -180,13 +183,6 @@ class Page:
     def _is_moving(self):
         return self.session.producer.period > 0
 
-    def _build_measures(self):
-        for name in ("pixel", "histogram", "difference", "edge", "response"):
-            if name in ("histogram", "response"):
-                self._elements[name] = ui.html("", sanitize=False).classes("w-full max-w-[640px]")
-            else:
-                self._keep(name, ui.label(), "gp-known")
-
     # actions of the controls
 
     def _change(self, name, value, is_step):
@@ -222,6 +218,9 @@ class Page:
 
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
+
+    def _mark_clipped(self, is_on):
+        self._set(marks_clipped=is_on)
 
     def _measure(self, is_on):
         self._canvas.measures = is_on
@@ -268,7 +267,7 @@ class Page:
             (self._undo if event.key.name == "z" else self._redo)()
         elif event.key.name == " ":
             self._live(not self.session.state.is_live)
-        elif event.key.name in "1234" and not event.modifiers.ctrl:
+        elif event.key.name in "123456" and not event.modifiers.ctrl:
             self._set(view=VIEWS[int(event.key.name) - 1])
         elif event.key.name in ("+", "-"):
             self._canvas.zoom(1 if event.key.name == "+" else -1)
@@ -276,23 +275,6 @@ class Page:
             self._canvas.fit()
         elif event.key.name in (",", ".") and self._is_moving:
             self._step(1 if event.key.name == "." else -1)
-
-    async def _error_map(self):
-        session = self.session
-        ui.notify("the exact frame is computed in float64: this takes seconds to minutes")
-        with notify_errors():
-            compare = await session.compute(session.producer.error, session.state, session.number)
-            self._show_error_map(*await run.io_bound(compare))
-
-    def _show_error_map(self, codes, error):
-        from PIL import Image
-
-        with ui.dialog(value=True), ui.card().classes("max-w-none").props(mark("error dialog")):
-            ui.label(
-                f"mean electrons less their truth: {error.rms:.2g} rms, {error.p999_sigma:.2g} of a pixel's noise "
-                f"at 99.9 %, {error.max_sigma:.2g} at most; full red is {SPAN:g} rms too much, full blue less"
-            )
-            ui.image(Image.fromarray(codes)).classes("w-[80vw] max-w-full")
 
     # output of the page
 
@@ -317,6 +299,7 @@ class Page:
             for name in ("view", "camera", "tolerance"):
                 self._elements[name].value = getattr(state, name)
             self._elements["live"].value = state.is_live
+            self._elements["clipping"].value = state.marks_clipped
             self._compare.show()
             self._scene.update()
             self._light.update()
@@ -370,39 +353,7 @@ class Page:
             f"{describe_exposure(shown.facts)}"
         )
         self._elements["left out"].text = describe_plan(shown.facts)
-
-    async def _statistics(self):
-        session = self.session
-        if session.shown is None or session.error:
-            return
-        part = self._canvas.edge if self._canvas.measures else None
-        try:
-            found = await session.compute(
-                session.producer.statistics,
-                session.state,
-                session.shown.number,
-                self._canvas.at,
-                part,
-            )
-        except Exception:
-            return  # the picture says it, also of a device that fails
-        self._elements["histogram"].content = histogram(found)
-        if pixel := found.get("pixel"):
-            self._elements["pixel"].text = (
-                f"row {pixel['row']}  column {pixel['col']}  {pixel['electrons']:.4g} e-  "
-                f"{pixel['dn']:.4g} DN  SNR {pixel['snr']:.1f} dB"
-            )
-        difference = ""
-        if "difference" in found:
-            difference = f"ColorChecker: mean Delta E 2000 {found['difference']:.2f}"
-        self._elements["difference"].text = difference
-        edge = found.get("edge", {})
-        text, curve = edge.get("why", ""), ""
-        if "mtf50" in edge:
-            text = f"MTF50 {edge['mtf50']:.3f} cycle/pixel, edge at {edge['angle']:.1f} degrees"
-            curve = response(edge)
-        self._elements["edge"].text = text
-        self._elements["response"].content = curve
+        self._elements["clipped"].text = shown.facts.get("clipped", "")
 
 
 def mount(made, first: State, title: str, shape: tuple[int, int], start: Start) -> Sessions:

@@ -11,7 +11,9 @@ import numpy as np
 
 from gpusim.apps.preview.comparison import compare
 from gpusim.apps.preview.half import HalfLoop
-from gpusim.apps.preview.measures import edge, error_map, light, on_host
+from gpusim.apps.preview.looks import Made, Optics, Shown
+from gpusim.apps.preview.measures import Inputs, clipped, error_map, mark_clipped, on_host
+from gpusim.apps.preview.panels_light import describe_clipped
 from gpusim.apps.preview.shelf import Shelf
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Scenes
@@ -23,7 +25,6 @@ from gpusim.domain.errors import BadData, Conflict, GpusimError
 from gpusim.domain.scene import PANORAMA
 from gpusim.io.scene.scenes import open_again, relight
 from gpusim.judge.truth import mean_and_truth, require_truth
-from gpusim.measure.checker import checker_of
 from gpusim.measure.mosaic import color_mosaic
 from gpusim.optics.panorama import view_panorama
 from gpusim.pipeline.frame import Frame
@@ -34,6 +35,8 @@ from gpusim.pipeline.simulator import Simulator
 SPREAD = 4.0  # standard deviations of noise from black to white
 RAW_GAMMA = 2.2  # of the mosaic's picture
 NUMBERS = 2**32  # of frames of a scene that does not move
+TIMED = 1.0  # [s] between two measurements of the time of frames
+OF_FRAME = ("rendered", "raw", "electrons", "noise")  # views of the frame, pixel by pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +101,10 @@ class Producer:
         self._lit: tuple = (None, (), None)  # scene, light and luminance, and the lit scene
         self._seen: tuple = (None, (), None)  # panorama, what its view depends on, and the view
         self._others: list[Producer] = []
-        self._checker: tuple = (None, None)
+        self._optics = Optics(self.device)
+        self._made: Made | None = None  # the last whole picture
+        self._ms: dict[str, float] = {}  # of each step when it ran last
+        self._timed = -TIMED  # when the steps of frames were timed last
 
     @property
     def holds_memory(self) -> bool:
@@ -119,7 +125,8 @@ class Producer:
         Raises as camera, light and simulation do.
         """
         begun = time.perf_counter()
-        loop = self._half_loop(state, number) if drafts and is_half else None
+        may_halve = drafts and is_half and state.view in OF_FRAME
+        loop = self._half_loop(state, number) if may_halve else None
         is_half = loop is not None
         if loop is None:
             loop = self._update(state, number, drafts)
@@ -128,11 +135,16 @@ class Producer:
             "raw": self._raw,
             "electrons": self._electrons,
             "noise": self._noise,
+            "scene": lambda _: self._optics.scene_codes(loop.scene),
+            "irradiance": lambda _: self._optics.irradiance_codes(
+                loop.simulator.camera, loop.scene, state.asked, drafts
+            ),
         }
         shown = self._shown_frame(loop, state.seed, number)
         codes = np.ascontiguousarray(show[state.view](shown))
         if not is_half:
             self._shape = codes.shape[:2]
+        self._optics.forget(state.view)
         account, exposure = loop.account, loop.expose()
         plan = loop.plan
         tolerance = None if plan.is_draft else loop.simulator.tolerance
@@ -144,7 +156,7 @@ class Producer:
             "verdict": verdict and verdict.state,
             "unknown": verdict.unknown if verdict else account.unknown,
             "exposure": exposure.exposure_time,
-            "gain": exposure.gain,
+            "gain": exposure.camera.sensor.analog_gain,
             "metered": {
                 "sensor.exposure_time_ms": 1e3 * exposure.exposure_time,
                 "sensor.gain_dn_per_e": exposure.camera.sensor.gain_dn_per_electron,
@@ -152,6 +164,11 @@ class Producer:
             "scene": state.scene.key,
             "shape": self._shape,
         }
+        made = Made(state, loop, shown, None if plan.is_draft else account, tolerance)
+        if loop is self._loop:  # panels do not follow drafts of half the size
+            self._made = made
+        if state.marks_clipped:
+            codes, facts["clipped"] = _mark_clipped(codes, made)
         others = state.others
         del self._others[len(others) :]  # frees their memory on the device
         while len(self._others) < len(others):
@@ -201,35 +218,33 @@ class Producer:
 
         return compare
 
-    def statistics(
-        self,
-        state: State,
-        number: int,
-        at: tuple[int, int] | None = None,
-        part: tuple[slice, slice] | None = None,
-    ) -> dict:
-        """Return the measurements next to the picture, see `gpusim.apps.preview.measures`.
+    def inputs(self, needs: frozenset[str] = frozenset(), has_irradiance: bool = False) -> Inputs:
+        """Return what panels need of the whole picture that was made last.
 
-        at: row and column of a pixel. part: rows and columns of an edge, or None. Raises as
-        `picture`.
+        needs: names of arrays, see Inputs, and "times". has_irradiance: add the irradiance if it is
+        known. Raises BadData before the first picture.
         """
-        loop = self._update(state, number, drafts=True)
-        exposure = loop.exposure
-        found = light(loop, exposure.split_layers(self._on_host(exposure.mean)), at)
-        scene = loop.scene
-        if self._checker[0] is not scene:
-            self._checker = scene, checker_of(scene)
-        checker = self._checker[1]
-        if part is None and checker is None:
-            return found
-        linear, rendering = loop.linear(seed=state.seed, first=number)
-        linear = np.moveaxis(self._on_host(linear), 0, -1)
-        if part is not None:
-            found["edge"] = edge(linear, part)
-        if checker is not None and linear.shape[:2] == scene.shape:
-            differences = checker.differences(linear, rendering.diffuser, exposure.camera.display)
-            found["difference"] = float(differences.mean())
-        return found
+        now = time.monotonic()
+        if "times" in needs and now - self._timed < TIMED:
+            needs = needs - {"times"}
+        elif "times" in needs:
+            self._timed = now
+        if self._made is None:
+            raise BadData("no picture yet; wanted one before measurements of it")
+        irradiance = None
+        if has_irradiance:
+            irradiance = self._optics.known_irradiance(self._made)
+        else:
+            self._optics.forget_irradiance()
+        return self._made.inputs(needs, self._ms, irradiance)
+
+    def irradiance(self) -> None:
+        """Compute the irradiance of the picture that was made last, for `inputs`.
+
+        It takes seconds for a large frame. Raises as `Optics.irradiance`.
+        """
+        if self._made is not None:
+            self._optics.irradiance(self._made, self._capture)
 
     def _build(self, state):
         """Return the camera of a state."""
@@ -254,6 +269,7 @@ class Producer:
         if self._loop is None or self._tolerance != state.tolerance:
             simulator = Simulator(camera, device=self.device, tolerance=state.asked)
             self._loop, self._tolerance = simulator.loop(scene), state.tolerance
+            self._ms = dict(self._loop.exposure.ms)
         changes = {}
         must_plan = not drafts and self._loop.plan.is_draft
         if camera is not self._loop.simulator.camera or must_plan:
@@ -264,7 +280,10 @@ class Producer:
             before = self._loop.simulator.camera, self._loop.scene
             try:
                 self._loop.update(**changes, drafts=drafts)
-                self._loop.expose()  # raises errors now
+                if drafts:
+                    self._loop.expose()  # raises errors now
+                else:
+                    self._ms.update(self._loop.exposure.ms)
             except Exception:
                 self._loop.update(camera=before[0], scene=before[1])
                 self._built = None, None
@@ -327,7 +346,7 @@ class Producer:
     def _shown_frame(self, loop, seed, number):
         """Return the frame that is shown: its values are computed when they are read."""
         if self._capture is None:
-            return _Shown(self, loop, seed, number)
+            return Shown(loop, seed, number)
         first = number * self._capture.count
         shots = self._capture.shots(Light.of(self._capture, loop, first), seed, first)
         return self._capture.frames(loop.simulator, shots)[0]
@@ -356,29 +375,13 @@ class Producer:
         return _grey(np.uint8(255 * shown + 0.5))
 
 
-class _Shown:
-    """A frame of a loop, with the fields of a Frame that the preview shows."""
-
-    def __init__(self, producer, loop, seed, number):
-        self._producer, self._loop, self._numbers = producer, loop, {"seed": seed, "first": number}
-
-    @property
-    def camera(self):
-        return self._loop.expose().camera
-
-    @property
-    def rgb(self):
-        return self._producer._on_host(self._loop.codes(**self._numbers))
-
-    @property
-    def raw(self):
-        exposure = self._loop.expose()
-        return exposure.split_layers(self._producer._on_host(self._loop.raw(**self._numbers)))
-
-    @property
-    def mean(self):
-        exposure = self._loop.expose()
-        return exposure.split_layers(self._producer._on_host(exposure.mean))
+def _mark_clipped(codes, made):
+    """Return a picture with its clipped pixels marked, and their shares in words."""
+    found = made.inputs(frozenset({"raw"}), {})
+    shares = clipped(found.sensor, found.arrays["raw"], found.merged)
+    if made.state.view in OF_FRAME:
+        codes = mark_clipped(codes, *shares)
+    return codes, describe_clipped(*shares)
 
 
 def _encode(light):

@@ -48,6 +48,7 @@ class State:
         split: Part of the width left of which this camera's picture is shown.
         scene: The scene.
         files: Name -> SHA-256 of the other files that the settings name: of a light, of the camera.
+        marks_clipped: Whether clipped pixels are marked in the picture.
     """
 
     camera: str
@@ -65,6 +66,7 @@ class State:
     split: float = 0.5
     scene: SceneChoice = field(default_factory=SceneChoice)
     files: dict[str, str] = field(default_factory=dict)
+    marks_clipped: bool = False
 
     @property
     def others(self) -> tuple["State", ...]:
@@ -197,6 +199,7 @@ class State:
             and self.tolerance in TOLERANCES
             and self.view in VIEWS
             and isinstance(self.is_live, bool)
+            and isinstance(self.marks_clipped, bool)
             and all(type(number) is int and 0 <= number < 2**32 for number in numbers)
             and isinstance(kept, dict)
             and len(kept) <= MOST_SNAPSHOTS
