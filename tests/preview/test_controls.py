@@ -195,7 +195,6 @@ EXAMPLES = {
 # controls without an effect on this picture of this camera, with the reason
 SILENT = {
     "sensor.row_time_us": "nothing moves",
-    "noise.reference_temperature_c": "the sensor has this temperature: see the next two",
     "noise.doubling_k": "the sensor has the reference temperature",
     "sensor.binning_mode": "nothing is binned",
     "optics.reference_nm": "there are no aberrations",
@@ -207,7 +206,6 @@ SILENT = {
     "sensor.auto_exposure.percentile": "another method",
     "display.luminance_cd_per_m2": "codes do not depend on it",
     "processor.defects": "there are none",
-    "optics.object_distance_m": "a flat scene is in focus",
 }
 
 

@@ -46,6 +46,7 @@ class Filmstrip:
         if [*recent] == self._built:
             return
         self._built = [*recent]
+        self._row.visible = len(recent) > 1
         self._row.clear()
         with self._row:
             for number, one in enumerate(recent.values()):

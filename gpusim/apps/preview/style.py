@@ -6,7 +6,7 @@
 STYLE = """
 :root {
     --gp-back: #fafafa; --gp-text: #1c1c1c; --gp-quiet: #555; --gp-line: #bbb; --gp-wrong: #b3261e;
-    --gp-busy: #8a5a00; --gp-curve: #8a6d00; --gp-high: 58dvh;
+    --gp-busy: #8a5a00; --gp-curve: #8a6d00; --gp-high: 52dvh;
 }
 body.body--dark {
     --gp-back: #171717; --gp-text: #e8e8e8; --gp-quiet: #b0b0b0; --gp-line: #555; --gp-wrong: #ff8a80;
