@@ -42,8 +42,8 @@ for axis in axes:
 # %%
 # Time and error
 # --------------
-# The report lists the stages, the errors predicted before the frame was made, the true error, and
-# the effects that were not modelled. The accuracy page explains each line.
+# The report begins with the verdict. Then come the time, the errors predicted before the frame was
+# made, each with its cause, and the true error. The page on the report explains each line.
 
 print(frame.report)
 

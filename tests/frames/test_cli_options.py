@@ -96,6 +96,7 @@ ROWS = {
         "quality": (f"{CHART} -o out.jpg", "--quality 20"),
         "report": (CHART, "--report report.json"),
         "verify": (CHART, "--verify"),
+        "verbose": (CHART, "--verbose"),
     },
     "plan": SCENE
     | {

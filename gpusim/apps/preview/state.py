@@ -11,7 +11,7 @@ from gpusim.apps.preview.controls import CONTROLS, TOLERANCES, VIEWS, Control
 from gpusim.data.lights import BRIGHTEST
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
-from gpusim.io.camera.cameras import anchor_paths, camera_of, camera_table
+from gpusim.io.camera.cameras import NO_BASE, anchor_paths, camera_of, camera_table
 
 MOST_STEPS, REST = 200, 1.0  # of undo; [s] after which a slider that moves again makes another
 LONGEST_LINK = 8192  # [character]
@@ -92,7 +92,7 @@ class State:
         """Return the text of the camera file."""
         import tomli_w
 
-        return tomli_w.dumps(self.table())
+        return tomli_w.dumps({"base": NO_BASE} | self.table())  # it has all keys
 
     def command(self, scene: str, file: str = "camera.toml") -> str:
         """Return the command line of the picture, with the camera's file next to it."""
