@@ -200,8 +200,8 @@ def keys():
     yield from textwrap.dedent("""\
         Every key of a camera file. This page is generated from the reader and from the domain's classes. The name of a
         key ends in its unit, if it has one. Keys that a file leaves out come from its base, the name of a camera or
-        another camera's file; without ``base`` from the phone. A file with ``base = "none"`` must give all keys that are
-        *wanted* here; the others have the defaults.
+        another camera's file; without ``base`` from the phone. A file with ``base = "none"`` must give all keys that
+        are *wanted* here; the others have the defaults.
 
         *A curve* is the name of a shipped curve, a ``.csv`` file in the folder of the camera file with a first line
         like ``wavelength_nm,R,G,B``, or a table ``{wavelengths_nm = [...], R = [...], G = [...]}``.

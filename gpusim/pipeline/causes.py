@@ -30,7 +30,8 @@ CAUSES = {
     "transforms": Cause("fourier transforms are computed in 32-bit floating point", FLOAT64),
     "transfer tables": Cause("transfer functions of the lens are interpolated from tables"),
     "planes": Cause(
-        "a few spectral planes and kernels stand for all wavelengths", "a smaller tolerance takes more"
+        "a few spectral planes and kernels stand for all wavelengths",
+        "a smaller tolerance takes more",
     ),
     "border": Cause(
         "light from far outside the frame is approximated",
@@ -94,7 +95,10 @@ CAUSES = {
     "depth, light behind the edges of layers": Cause(
         "light that passes the edges of blurred objects is approximated"
     ),
-    "shutter": Cause("a few instants stand for the movement during the exposure", "a smaller tolerance takes more"),
+    "shutter": Cause(
+        "a few instants stand for the movement during the exposure",
+        "a smaller tolerance takes more",
+    ),
     "surfaces that were hidden": Cause(
         "the moving camera sees surfaces that the scene does not show; they are guessed", LAYERS
     ),

@@ -11,7 +11,10 @@ if TYPE_CHECKING:  # a report calls these functions
 SLOWEST = 3  # stages named in the line of the time
 SMALL = 0.1  # errors below this part of the largest are named without words
 FIGURES = {"rms": "relative rms", "p999_sigma": "sigma at 99.9 %", "max_sigma": "sigma at worst"}
-WITH_ERROR = (", predicted", "its error is not known")  # ends of left-out effects that have a named error
+WITH_ERROR = (
+    ", predicted",
+    "its error is not known",
+)  # ends of left-out effects that have a named error
 
 
 def write_verdict(report: "Report") -> str:
@@ -70,7 +73,9 @@ def _write_time(report):
     """Return the line of the time, with the slowest stages."""
     slowest = sorted(report.stages, key=lambda stage: -stage.ms)[:SLOWEST]
     named = ", ".join(f"{stage.stage} {stage.ms:.2f} ms" for stage in slowest if stage.ms > 0)
-    words = f"time: {report.ms:.2f} ms for the stages, {report.wall_ms:.2f} ms with planning and copies"
+    words = (
+        f"time: {report.ms:.2f} ms for the stages, {report.wall_ms:.2f} ms with planning and copies"
+    )
     return f"{words}; slowest: {named}" if named else words
 
 
@@ -87,9 +92,7 @@ def _write_errors(report):
     lines += [
         _write_cause(name, f"{known[name]:.2g} {FIGURES[figure]}") for name in reversed(large)
     ]
-    lines += [
-        _write_cause(name, "not known") for name in account.bounds if name not in known
-    ]
+    lines += [_write_cause(name, "not known") for name in account.bounds if name not in known]
     lines += [f"    not certain: {account.doubt}"] * bool(account.doubt)
     small = [name for name in known if name not in large]
     if small:
@@ -139,6 +142,4 @@ def _write_bound(bound: "Bound") -> str:
     """Return the figures of a named error, or that it is not known."""
     if not bound.is_known:
         return "not known"
-    return (
-        f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
-    )
+    return f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"

@@ -1093,7 +1093,9 @@ def test_names_and_files_that_are_not_there(tmp_path):
         open_camera(tmp_path / "bytes.toml")
 
 
-@pytest.mark.parametrize("text", ["", "[optics]", "[noise]", "optics = {f_number = 1.8}", "name = 'x'"])
+@pytest.mark.parametrize(
+    "text", ["", "[optics]", "[noise]", "optics = {f_number = 1.8}", "name = 'x'"]
+)
 def test_without_a_base_keys_are_the_phones(tmp_path, text):
     """Whatever the file says that the phone says too, or an empty section: the same camera."""
     phone = open_camera("phone")
@@ -1115,7 +1117,11 @@ def test_a_file_without_a_base_says_which_keys_are_the_phones(tmp_path):
 def test_a_base_without_a_base_is_the_phone_with_changes(tmp_path):
     (tmp_path / "below.toml").write_text("[optics]\nf_number = 4\n")
     found = open_camera(written(tmp_path, 'base = "below.toml"\n[noise]\nread_e = 1\n'))
-    assert (found.optics.f_number, found.optics.focal_length, found.sensor.noise.read) == (4, 4.44e-3, 1)
+    assert (found.optics.f_number, found.optics.focal_length, found.sensor.noise.read) == (
+        4,
+        4.44e-3,
+        1,
+    )
 
 
 def test_a_calibration_without_a_base_has_its_own_focal_length(tmp_path):

@@ -90,7 +90,10 @@ def report(**changes):
         "device": {"name": "opencl:0"},
         "frame": 3,
         "seed": 1,
-        "stages": [StageReport("optics.far", "Gaussians", 3.0), StageReport("optics.airy", "", 0.0)],
+        "stages": [
+            StageReport("optics.far", "Gaussians", 3.0),
+            StageReport("optics.airy", "", 0.0),
+        ],
         "account": Account(bounds),
         "beside": {"scene sampling": 0.05},
         "left_out": ["finer structure: relative rms 0.05, predicted", "DSNU: at most 1e-4 sigma"],

@@ -128,7 +128,8 @@ def open_camera(name_or_path: str | os.PathLike) -> Camera:
             raise
         why = f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})"
         raise BadFile(path, why) from error
-    if note := _note_base(*_file_table(name_or_path), table):
+    _, own = _file_table(name_or_path)
+    if note := _note_base(path, own, table):
         camera = dataclasses.replace(camera, notes=(*camera.notes, note))
     return camera
 
