@@ -94,6 +94,12 @@ SAID = {
     "seed": "Selects the chip: it determines all fixed patterns.",
     "name": "`srgb`, `display-p3`, or a measured display; or your own name together with the keys below.",
 }
+RESULTS = {  # pictures that the scripts in docs/tasks saved, see pictures.py
+    "1_own_camera": "own_camera",
+    "2_pairs": "astronaut",
+    "3_mitsuba": "focus",
+    "4_pixel_sizes": "pixel_sizes",
+}
 GROUPS = {  # by the module of a public name, in the order of the page
     "Simulate": (
         "pipeline.simulator",
@@ -158,7 +164,8 @@ def tasks():
     """Yield the page of the scripts in docs/tasks."""
     yield from title("Four tasks")
     yield from (
-        "Common tasks in at most 15 lines each. The scripts are tested exactly as printed.",
+        "Common tasks in at most 15 lines each, with the pictures that they save. The scripts are tested exactly as "
+        "printed.",
         "",
     )
     for path in sorted(Path(__file__).parent.glob("tasks/*.py")):
@@ -168,6 +175,7 @@ def tasks():
         ).split("\n")[0]
         yield from title(heading.rstrip("."), "-")
         yield from (".. code-block:: python", "", textwrap.indent(text, "   "), "")
+        yield from (f".. image:: ../pictures/tasks/{RESULTS[path.stem]}.png", "   :width: 100%", "")
 
 
 def keep(path, text):

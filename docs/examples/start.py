@@ -65,3 +65,8 @@ for axis, each, title in (
     axis.imshow(each.rgb)
     axis.set_title(f"{title}: up to {each.mean.max():.0f} e⁻ in a pixel")
     axis.set_axis_off()
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("start")
