@@ -1,4 +1,4 @@
-"""Every example of the gallery runs by itself, saves its figures, warns of nothing, and takes 30 s of two cores at most."""
+"""Every example of the gallery runs by itself, saves its figures, warns of nothing and takes 30 s of two cores."""
 
 import os
 import resource
