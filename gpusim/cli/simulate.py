@@ -11,6 +11,7 @@ from gpusim.apps.video.segments import numbered_path
 from gpusim.cli.captures import capture_option
 from gpusim.cli.options import Request, flag, option, seed_option, whole, write_json
 from gpusim.domain.errors import BadFile
+from gpusim.domain.progress import announce_each
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
@@ -141,6 +142,8 @@ def simulate(request: SimulateRequest) -> int:
         from tqdm import tqdm
 
         frames = tqdm(frames, total=request.count, unit="frame", disable=None)
+    else:
+        frames = announce_each(frames, lambda count: "computing the frame")
     shown = Report.table if request.verbose else str
     reports = []
     for number, frame in enumerate(frames):

@@ -36,9 +36,7 @@ def check_dng(cfa, channels):
 def check_readable(cfa):
     """Raise OutOfRange for a mosaic that raw converters misread. cfa: one period, () without."""
     if cfa and (len(cfa), len(cfa[0])) not in READABLE:
-        allowed = (
-            "2 x 2 pixels, or 6 x 6 as in x-trans: raw converters misread others; .npz and .raw.npy hold any"
-        )
+        allowed = "2 x 2 pixels, or 6 x 6 as in x-trans: raw converters misread others; .npz and .raw.npy hold any"
         raise OutOfRange("period of a DNG's mosaic", f"{len(cfa)} x {len(cfa[0])}", allowed)
 
 
