@@ -56,6 +56,12 @@ SAID = {
     "seed": "Selects the chip: it determines all fixed patterns.",
     "name": "`srgb`, `display-p3`, or a measured display; or your own name together with the keys below.",
 }
+RESULTS = {  # pictures that the scripts in docs/tasks saved, see pictures.py
+    "1_own_camera": "own_camera",
+    "2_pairs": "astronaut",
+    "3_mitsuba": "focus",
+    "4_pixel_sizes": "pixel_sizes",
+}
 GROUPS = {  # by the module of a public name, in the order of the page
     "Simulate": (
         "pipeline.simulator",
@@ -120,7 +126,8 @@ def tasks():
     """Yield the page of the scripts in docs/tasks."""
     yield from title("Four tasks")
     yield from (
-        "Common tasks in at most 15 lines each. The scripts are tested exactly as printed.",
+        "Common tasks in at most 15 lines each, with the pictures that they save. The scripts are tested exactly as "
+        "printed.",
         "",
     )
     for path in sorted(Path(__file__).parent.glob("tasks/*.py")):
@@ -130,6 +137,7 @@ def tasks():
         ).split("\n")[0]
         yield from title(heading.rstrip("."), "-")
         yield from (".. code-block:: python", "", textwrap.indent(text, "   "), "")
+        yield from (f".. image:: ../pictures/tasks/{RESULTS[path.stem]}.png", "   :width: 100%", "")
 
 
 def keep(path, text):
@@ -161,9 +169,9 @@ def keys():
     yield from title("Camera keys")
     yield from textwrap.dedent("""\
         Every key of a camera file. This page is generated from the reader and from the domain's classes. The name of a
-        key ends in its unit, if it has one. Keys that a file leaves out come from its base, ``base = "phone"`` or
-        another camera's file; an empty file is the phone. A file without a base must give all keys that are *wanted*
-        here; the others have the defaults.
+        key ends in its unit, if it has one. Keys that a file leaves out come from its base, the name of a camera or
+        another camera's file; without ``base`` from the phone. A file with ``base = "none"`` must give all keys that
+        are *wanted* here; the others have the defaults.
 
         *A curve* is the name of a shipped curve, a ``.csv`` file in the folder of the camera file with a first line
         like ``wavelength_nm,R,G,B``, or a table ``{wavelengths_nm = [...], R = [...], G = [...]}``.

@@ -5,6 +5,9 @@
 The commands below make the gallery. README.md has the same commands; a test compares them.
 """
 
+import dataclasses
+import os
+import runpy
 import shlex
 import tempfile
 from pathlib import Path
@@ -22,7 +25,11 @@ from gpusim.measure.mosaic import color_mosaic
 
 HERE = Path(__file__).parent / "pictures"
 SIZE = (480, 320)
-GALLERY = {  # photo.png: NASA's portrait of Eileen Collins, of scikit-image
+GALLERY = {  # photo.png: NASA's portrait of Eileen Collins, of scikit-image. balls.npz: `balls`
+    "night": "gpusim simulate photo.png --camera phone --luminance 1 --exposure 1/15 --iso 1600 "
+    "--capture burst=8,merged -o night.png",
+    "depth": "gpusim simulate balls.npz --camera machine-vision --f-number 2 --focus 0.7 -o depth.png",
+    "moving_0000": "gpusim video photo.png --camera phone --exposure 1/30 --frames 1 --pan 0,6 --blur -o moving.png",
     "lamp": "gpusim simulate colorchecker --camera phone --light A --size 480x320 -o lamp.png",
     "dark": "gpusim simulate photo.png --camera phone --luminance 5 --exposure 1/15 --iso 800 -o dark.png",
     "bright": "gpusim simulate photo.png --camera phone --exposure 0.25 -o bright.png",
@@ -44,25 +51,108 @@ def main():
     with tempfile.TemporaryDirectory() as folder:
         photo = Path(folder) / "photo.png"
         Image.fromarray(data.astronaut()[0:320, 16:496]).save(photo)
+        gs.save_scene(balls(), Path(folder) / "balls.npz")
         gallery(Path(folder))
         wide(gs.open_scene(photo, luminance=2))
+    two_cameras()
+    tasks()
     accuracy()
     still_events()
 
 
 def gallery(folder):
-    """Run the commands of the gallery. folder: it contains photo.png."""
-    for name, command in (GALLERY | PLOTS).items():
-        words = [
-            str(folder / word)
-            if word == "photo.png"
-            else str(HERE / word)
-            if word == f"{name}.png"
-            else word
-            for word in shlex.split(command)[1:]
-        ]
+    """Run the commands of the gallery. folder: it contains photo.png and balls.npz."""
+    for command in (GALLERY | PLOTS).values():
+        *words, out = shlex.split(command)[1:]
+        words = [str(folder / word) if (folder / word).is_file() else word for word in words]
+        words.append(str(HERE / out))
         if status := gpusim(words):
             raise SystemExit(f"{command}: status {status}")
+    for manifest in HERE.glob("*_video.json"):
+        manifest.unlink()
+
+
+def balls():
+    """Return a scene with depth: three balls on a chequered floor before a wall."""
+    color, depth = draw_balls()
+    scene = gs.scene_from(color, linear=True, luminance=300)
+    return dataclasses.replace(scene, depth=depth.astype(np.float32), fov=2 * np.arctan(0.375))
+
+
+def draw_balls():
+    """Return linear RGB and the depth along the axis [m]: the wall is 4 m away, the floor 0.3 m below the axis."""
+    rows, cols = SIZE[::-1]
+    y, x = (np.mgrid[:rows, :cols] + 0.5 - np.array([rows, cols])[:, None, None] / 2) / cols * 0.75
+    ray = np.stack([x, y, np.ones_like(x)])
+    light = np.array([0.3, -0.8, -0.5]) / np.sqrt(0.98)  # direction toward the lamp
+    depth = np.full((rows, cols), 4.0)
+    color = np.full((rows, cols, 3), (0.30, 0.34, 0.42))
+    floor = 0.3 / np.maximum(y, 1e-9)
+    seen = floor < depth
+    chequer = (np.floor(floor * x / 0.1) + np.floor(floor / 0.1)) % 2
+    color[seen] = np.where(chequer[seen, None], 0.62, 0.16)
+    depth[seen] = floor[seen]
+    for middle, radius, paint in (
+        ((-0.10, 0.19, 0.70), 0.11, (0.75, 0.10, 0.08)),
+        ((0.22, 0.14, 1.20), 0.16, (0.12, 0.50, 0.15)),
+        ((-0.35, 0.02, 2.40), 0.28, (0.10, 0.20, 0.70)),
+    ):
+        centre, square = np.array(middle), (ray**2).sum(0)
+        along = np.tensordot(centre, ray, 1)
+        root = along**2 - square * (centre @ centre - radius**2)
+        away = (along - np.sqrt(np.maximum(root, 0))) / square
+        hit = (root > 0) & (away < depth)
+        normal = (away * ray - centre[:, None, None]) / radius
+        shade = 0.25 + 0.75 * np.maximum(np.tensordot(light, normal, 1), 0)
+        color[hit] = (shade[..., None] * np.array(paint))[hit]
+        depth[hit] = away[hit]
+    return color, depth
+
+
+def two_cameras():
+    """Draw the MTF of two cameras."""
+    from matplotlib import pyplot as plt
+
+    figure, axis = plt.subplots(figsize=(6, 4), layout="constrained")
+    for name in ("phone", "machine-vision"):
+        gs.plot.mtf(gs.open_camera(name), 550, axis, label=name)
+    figure.savefig(HERE / "two-cameras.png", dpi=80)
+    plt.close(figure)
+
+
+def tasks():
+    """Run the scripts of docs/tasks and keep what they save. A render of `balls` takes the place of Mitsuba's."""
+    home = Path.cwd()
+    (HERE / "tasks").mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        try:
+            Path("photos").mkdir()
+            Image.fromarray(data.astronaut()[0:320, 16:496]).save("photos/astronaut.png")
+            write_render("render.exr")
+            for path in sorted((HERE.parent / "tasks").glob("*.py")):
+                runpy.run_path(str(path))
+            for path in ("own_camera.png", "pairs/astronaut.png", "focus.png", "pixel_sizes.png"):
+                Image.open(path).save(HERE / "tasks" / Path(path).name)
+        finally:
+            os.chdir(home)
+
+
+def write_render(path):
+    """Write `balls` as Mitsuba does: a channel for each band [W m-2 sr-1 nm-1], and the distance along the ray."""
+    import OpenEXR
+
+    color, depth = draw_balls()
+    rows, cols = depth.shape
+    y, x = np.mgrid[:rows, :cols] + 0.5 - np.array([rows, cols])[:, None, None] / 2
+    step = 2 * np.tan(np.radians(20)) / cols
+    channels = {}
+    for nm in range(400, 701, 50):
+        weights = [np.interp(nm, (450, 550, 620), one) for one in np.eye(3)[::-1]]  # of R, G, B
+        channels[f"band{nm}"] = np.float32(0.005 * color @ weights)
+    away = depth * np.sqrt(1 + (x**2 + y**2) * step**2)
+    kind = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(kind, channels | {"depth.T": away.astype(np.float32)}).write(str(path))
 
 
 def mosaic(frame, zoom):

@@ -489,7 +489,7 @@ class Inputs:
         return MUTATE[self.reader](data, random)
 
 
-CAMERA = """
+CAMERA = """base = "none"
 [optics]
 f_number = 2
 focal_length_mm = 4

@@ -102,3 +102,8 @@ right.legend(frameon=False)
 
 twin = gs.sensor_from_emva1288(**found.figures, **known)
 print(f"full well {sensor.full_well:.0f} e⁻, of the twin {twin.full_well:.0f} e⁻")
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("emva1288")

@@ -66,3 +66,8 @@ for number, (label, method) in enumerate(names.items()):
 axis.set_xticks(range(len(kinds)), kinds)
 axis.set(ylabel="median CIEDE2000", xlabel="light of the scene")
 axis.legend(frameon=False, title="white balance")
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("figure_12")

@@ -87,3 +87,8 @@ for row, mean in zip(axes, (1, 40), strict=True):
         grey = simulate(card, seed=2).linear @ camera.display.xyz_from_rgb[1]
         axis.set_title(f"{name} at {mean} cd/m²: {snr(grey[8:-8, 8:-8]):.1f} dB")
         axis.set_axis_off()
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("figure_14")

@@ -75,3 +75,8 @@ for distance in distances:
 figure, axis = plt.subplots(figsize=(6, 3.2), layout="constrained")
 axis.plot(distances, found, "o-")
 axis.set(xlabel="sensor from focus [µm]", ylabel="MTF50 of green [cycles/mm]", ylim=(0, None))
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("figure_8")

@@ -112,3 +112,8 @@ for axis, (frame, title) in zip(
     axis.imshow(frame.rgb)
     axis.set_title(title)
     axis.set_axis_off()
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("hdr_burst")

@@ -57,3 +57,8 @@ for axis, (title, frame) in zip(axes, shown.items(), strict=True):
     axis.imshow(frame.rgb[20:180, 40:200])
     axis.set_title(f"{title}: {peak_signal_noise_ratio(truth.rgb, frame.rgb):.1f} dB")
     axis.set_axis_off()
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("low_light")

@@ -122,3 +122,8 @@ axis.plot(
 axis.plot(at, found.response[: len(at)], "g", label="slanted edge, green")
 axis.set(xlabel="cycles/mm on the sensor", ylabel="contrast", ylim=(0, 1.05))
 axis.legend(frameon=False)
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("measured_psf")

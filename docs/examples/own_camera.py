@@ -117,3 +117,8 @@ right.set(
     xlabel="exposure time [ms], grey card in white of 50 cd/m²", ylabel="signal to noise [dB]"
 )
 right.legend(frameon=False)
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("own_camera")

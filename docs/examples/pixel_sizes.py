@@ -102,3 +102,8 @@ for pitch, camera in cameras.items():
         )
 right.set(xlabel="luminance of white [cd/m²], 10 ms", ylabel="signal to noise [dB]")
 right.legend()
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("pixel_sizes")

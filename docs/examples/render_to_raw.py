@@ -212,3 +212,8 @@ for number, (axis, raw) in enumerate(zip(axes.flat, raws, strict=True)):
     axis.imshow(raw, cmap="gray")
     axis.set_title(f"raw frame {number}, {0.55 * (2.6 / 0.55) ** (number / 3):.2f} m", fontsize=9)
     axis.set_axis_off()
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("render_to_raw")

@@ -42,8 +42,8 @@ for axis in axes:
 # %%
 # Time and error
 # --------------
-# The report lists the stages, the errors predicted before the frame was made, the true error, and
-# the effects that were not modelled. The accuracy page explains each line.
+# The report begins with the verdict. Then come the time, the errors predicted before the frame was
+# made, each with its cause, and the true error. The page on the report explains each line.
 
 print(frame.report)
 
@@ -65,3 +65,8 @@ for axis, each, title in (
     axis.imshow(each.rgb)
     axis.set_title(f"{title}: up to {each.mean.max():.0f} e⁻ in a pixel")
     axis.set_axis_off()
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("start")

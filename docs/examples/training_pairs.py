@@ -21,6 +21,8 @@ import numpy as np
 from PIL import Image
 from skimage import data
 
+import gpusim as gs
+
 # %%
 # Photographs
 # -----------
@@ -122,3 +124,8 @@ for pair, color in zip(list(pairs.values())[::2], ("C0", "C1", "C2", "C3"), stri
     )
 axis.set(xlabel="signal [DN]", ylabel="variance [DN²]")
 axis.legend(frameon=False)
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("training_pairs")

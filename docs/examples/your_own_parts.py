@@ -137,3 +137,8 @@ print(
 )
 for stage, times in diary.ran.items():
     print(f"{stage:22s} {times}")
+
+# %%
+# A script saves its pictures:
+
+gs.plot.save_figures("your_own_parts")

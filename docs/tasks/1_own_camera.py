@@ -13,7 +13,7 @@ sensor = {pixel_pitch_um = 2.2, full_well_e = 9000, bits = 12}
 noise = {read_e = 2.5, prnu = 0}
 """)
 figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.5), layout="constrained")
-gs.plot.sfr(
-    gs.open_camera("mine.toml"), left
-)  # a slanted edge through lens, pixel, mosaic and processor
-gs.plot.snr(gs.open_camera("mine.toml"), right)
+camera = gs.open_camera("mine.toml")
+gs.plot.sfr(camera, left)  # a slanted edge through lens, pixel, mosaic and processor
+gs.plot.snr(camera, right)
+figure.savefig("own_camera.png")

@@ -6,9 +6,8 @@ import numpy as np
 import gpusim as gs
 
 bands = {f"band{nm}": nm for nm in range(400, 701, 50)}  # the film's channels, wavelengths [nm]
-scene = gs.open_scene(
-    "render.exr", bands=bands, depth="ray", fov=np.radians(40)
-)  # the renderer's field of view
+# the field of view is the renderer's
+scene = gs.open_scene("render.exr", bands=bands, depth="ray", fov=np.radians(40))
 camera = gs.open_camera("phone")
 figure, axes = plt.subplots(1, 2, figsize=(9, 3.5), layout="constrained")
 for axis, distance in zip(axes, (0.5, 3.0), strict=True):
@@ -16,3 +15,4 @@ for axis, distance in zip(axes, (0.5, 3.0), strict=True):
     axis.imshow(frame.rgb)
     axis.set_title(f"in focus at {distance} m")
     frame.save(f"focus-{distance}m.dng")
+figure.savefig("focus.png")

@@ -15,3 +15,4 @@ for axis, pitch in zip(axes, (1.0, 2.0), strict=True):  # [µm]
     error = ciede2000(frame, scene).mean()
     axis.imshow(frame.rgb, interpolation="nearest")
     axis.set_title(f"{pitch} µm: mean CIEDE2000 {error:.1f}")
+figure.savefig("pixel_sizes.png")

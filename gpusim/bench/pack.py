@@ -83,8 +83,6 @@ def write_pack(
         raise Conflict("--archive", f"{archive}: unknown form", f"wanted {' or '.join(ARCHIVES)}")
     if folder.exists():
         raise BadFile(folder, "exists; a pack needs a new folder")
-    if not folder.absolute().parent.is_dir():
-        raise BadFile(folder, f"the folder {folder.absolute().parent} does not exist")
     remove_leftovers(folder.absolute().parent)
     temporary = folder.with_name(temporary_name())
     try:

@@ -5,6 +5,7 @@ from dataclasses import asdict, dataclass
 
 from gpusim.cli.options import Options, flag, option, write_json
 from gpusim.domain.errors import UnknownName
+from gpusim.domain.progress import announce_each
 
 VERIFY = {"help": "compare every stage with its float64 reference; status 1 on any failure"}
 DEVICES = {"help": "list the devices, their copy speed, and why a device is unusable"}
@@ -78,7 +79,8 @@ def verify(request: VerifyRequest) -> int:
     request.refuse_unread("verify")
     show = _hard_line if request.hard else _stage_line
     rows = []
-    for row in _hard_rows(device) if request.hard else verify_devices(device, stages):
+    judged = _hard_rows(device) if request.hard else verify_devices(device, stages)
+    for row in announce_each(judged, "verifying, {} cases done".format):
         rows.append(row)
         print(show(row), flush=True)
     failed = sum(not row["ok"] for row in rows)
@@ -111,7 +113,8 @@ def _verify_combinations(request):
     request.refuse_unread("verify --combinations")
     for device in devices:
         cells = []
-        for cell in combinations(device, partial(make, tolerance=tolerance), names):
+        found = combinations(device, partial(make, tolerance=tolerance), names)
+        for cell in announce_each(found, "verifying, {} pairs done".format):
             cells.append(cell)
             start = f"{'ok  ' if cell.is_good else 'FAIL'} {device.name:10s} {len(cells):3d}"
             pair = cell.first if cell.first == cell.second else f"{cell.first} x {cell.second}"

@@ -473,9 +473,9 @@ def describe_verdicts(states: Counter) -> str:
 
 
 def make_folder(path: Path) -> None:
-    """Create a folder if it does not exist. Raises BadFile."""
+    """Create a folder, and those around it, if it does not exist. Raises BadFile."""
     try:
-        path.mkdir(exist_ok=True)
+        path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise BadFile(path, f"cannot be created: {error.strerror or error}") from error
 

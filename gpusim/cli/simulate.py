@@ -11,6 +11,7 @@ from gpusim.apps.video.segments import numbered_path
 from gpusim.cli.captures import capture_option
 from gpusim.cli.options import Request, flag, option, seed_option, whole, write_json
 from gpusim.domain.errors import BadFile
+from gpusim.domain.progress import announce_each
 
 if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
@@ -58,6 +59,14 @@ class SimulateRequest(Request):
         metavar="FILE.json", help="file of the report: models, times and errors"
     )
     verify: bool = flag("also compute the float64 reference, and report the true error")
+    verbose: bool = option(
+        "-v",
+        "--verbose",
+        default=False,
+        in_key=False,
+        action="store_true",
+        help="print a line for every stage, error and effect left out",
+    )
 
     @property
     def count(self) -> int:
@@ -121,6 +130,7 @@ def simulate(request: SimulateRequest) -> int:
         GpusimError: If an option or a file is wrong.
     """
     from gpusim.io.frame.frames import JPEG, check_format, frame_format
+    from gpusim.pipeline.report import Report
 
     outputs = request.check_outputs()  # before the work
     camera, scene = request.open_camera(), request.open_scene()
@@ -141,15 +151,18 @@ def simulate(request: SimulateRequest) -> int:
         from tqdm import tqdm
 
         frames = tqdm(frames, total=request.count, unit="frame", disable=None)
+    else:
+        frames = announce_each(frames, lambda count: "computing the frame")
+    shown = Report.table if request.verbose else str
     reports = []
     for number, frame in enumerate(frames):
         for output, quality in zip(outputs, qualities, strict=True):
             frame.save(output(number), bits=request.bits, quality=quality)
         reports.append(frame.report)
         if request.count == 1:
-            print(frame.report)
+            print(shown(frame.report))
     if request.count > 1:
-        print(reports[0])
+        print(shown(reports[0]))
         print(
             f"  {len(reports)} frames; median of those after the first "
             f"{sorted(report.ms for report in reports[1:])[(len(reports) - 1) // 2]:.2f} ms"

@@ -4,8 +4,11 @@
 """
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
+
+Item = TypeVar("Item")
 
 # The thread that works calls it. As work begins, its words are given. As it ends, the words of the work
 # around it are, or None if there is none.
@@ -39,6 +42,27 @@ def announced(words: str) -> Iterator[None]:
         yield
     finally:
         _notify(outer)
+
+
+def announce_each(items: Iterable[Item], words: Callable[[int], str]) -> Iterator[Item]:
+    """Yield items, and announce the work on each.
+
+    Args:
+        items: The items, made one by one.
+        words: Returns a name of the work, from the number of items that are done.
+
+    Yields:
+        The items.
+    """
+    count, remaining = 0, iter(items)
+    while True:
+        with announced(words(count)):
+            try:
+                item = next(remaining)
+            except StopIteration:
+                return
+        count += 1
+        yield item
 
 
 def _notify(words):

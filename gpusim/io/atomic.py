@@ -12,7 +12,8 @@ from gpusim.domain.leftovers import remove_leftovers, remove_leftovers_once, tem
 def check_output(path):
     """Raise BadFile unless the file can be written, tested with an empty file next to it.
 
-    None is no output. Temporary files of killed processes in the folder are removed.
+    None is no output. Folders that are missing are made for the test, and removed. Temporary files of
+    killed processes in the folder are removed.
     """
     if path is not None:
         with _temporary_file(path) as temporary:
@@ -24,9 +25,9 @@ def check_output(path):
 def atomic_path(path):
     """Yield a temporary path next to `path` with its suffix, renamed to `path` on success.
 
-    If the block fails, the temporary file is removed and an existing `path` stays unchanged. Raises
-    BadFile if the folder is missing or not writable, the disk is full, or `path` is a folder, a
-    device or a pipe.
+    Missing folders are made. If the block fails, the temporary file and these folders are removed and
+    an existing `path` stays unchanged. Raises BadFile if the folder is not writable, the disk is full,
+    or `path` is a folder, a device or a pipe.
     """
     with _temporary_file(path) as temporary:
         yield temporary
@@ -41,15 +42,19 @@ def _temporary_file(path):
         kind = _kind(path)
         if kind:  # root could even replace /dev/null
             raise BadFile(path, f"is {kind}; wanted the name of a file")
-        if not path.absolute().parent.is_dir():
-            raise BadFile(path, f"the folder {path.absolute().parent} does not exist")
-        remove_leftovers_once(path.absolute().parent)
+        folder = path.absolute().parent
         temporary = path.with_name(temporary_name(path.suffix[:8]))  # within the limit of names
+        missing = [one for one in (folder, *folder.parents) if not one.exists()]
         try:
+            folder.mkdir(parents=True, exist_ok=True)
+            remove_leftovers_once(folder)
             yield temporary
         finally:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
+            with suppress(OSError):  # a file is in them
+                for one in missing:
+                    one.rmdir()
     except OSError as error:
         raise BadFile(path, f"cannot be written: {error.strerror or error}") from error
 

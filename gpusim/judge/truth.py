@@ -30,6 +30,7 @@ import dataclasses
 import numpy as np
 
 from gpusim.data.weights import electrons_per_content
+from gpusim.domain.progress import announced
 from gpusim.judge.truth_blur import blurred_rates
 from gpusim.judge.truth_depth import depth_rates
 from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, flat_fields, varying_rates
@@ -67,7 +68,8 @@ def mean_and_truth(simulator: Simulator, scene, exposure) -> tuple[np.ndarray, n
     """
     mean, camera = np.array(simulator.device.numpy(exposure.mean), np.float32), simulator.camera
     parts = [(slice(None), slice(None))] if lens_of(camera).is_uniform else blocks(scene.shape)
-    found = _electrons(camera, scene, exposure.exposure_time, parts)
+    with announced("computing the float64 reference"):
+        found = _electrons(camera, scene, exposure.exposure_time, parts)
     if len(parts) == 1:
         return mean, found[0]
     rows = [

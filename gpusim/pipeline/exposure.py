@@ -21,6 +21,7 @@ from gpusim.domain.short_repr import shorten_repr
 from gpusim.kernels.processor.color import color
 from gpusim.kernels.sensor.noise import check_drawn
 from gpusim.optics.labels import carry_labels
+from gpusim.pipeline.brightness import describe_brightness
 from gpusim.pipeline.developer import Developer, rendering_name
 from gpusim.pipeline.frame import Frame, Parts
 from gpusim.pipeline.light import return_none
@@ -490,7 +491,7 @@ class _Shot(Parts):
             return self._full()
         if name == "report":
             frame.rendering, frame.mean, frame.raw, frame.linear, frame.rgb  # noqa: B018  for their times
-            return self._report(frame.rendering)
+            return self._report(frame)
         start, device = time.perf_counter(), self.exposure.simulator.device
         with device.timed() as ms:
             if name == "mean":
@@ -517,13 +518,13 @@ class _Shot(Parts):
             single = readout.draw(exposure.chip_mean, *settings, is_averaged=False)
         return exposure.split_layers(readout.find_full(single, exposure.gain))
 
-    def _report(self, rendering):
-        """Return the report. All other parts are computed."""
+    def _report(self, frame):
+        """Return the report. All other parts of the frame are computed."""
         exposure, times = self.exposure, self.ms
         simulator, camera = exposure.simulator, exposure.camera
         plan, scene = exposure.plan, exposure.plan.scene
         words = {step.stage: step.words for step in self.values.steps.values() if step.words}
-        models = plan.models | words | {"processor.color": rendering.model}
+        models = plan.models | words | {"processor.color": frame.rendering.model}
         if "sensor.meter" in times:
             models["sensor.meter"] = (
                 "light statistics"
@@ -570,16 +571,19 @@ class _Shot(Parts):
             plan.left_out,
             self.error,
             simulator.tolerance,
-            self._notes(),
+            self._notes(frame),
             verdict,
             self.wall_ms,
             plan.name,
         )
 
-    def _notes(self):
-        """Return the report's notes on the scene, the plan and the true error."""
+    def _notes(self, frame):
+        """Return the report's notes on the picture, the scene, the plan and the true error."""
         plan, processor = self.exposure.plan, self.exposure.camera.processor
-        notes = []
+        seen = describe_brightness(
+            frame.rgb, frame.mean, frame.exposure_time, self.exposure.camera.sensor
+        )
+        notes = [seen] if seen else []
         if not plan.scene.light_is_known:
             white = ", saturation is display white" if processor.scaling == "normalised" else ""
             notes.append(

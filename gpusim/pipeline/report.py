@@ -8,6 +8,7 @@ import numpy as np
 from gpusim.domain.account import SAMPLING, Account, Bound, Tolerance, Verdict
 from gpusim.domain.labels import Tabled
 from gpusim.domain.short_repr import shorten_repr
+from gpusim.pipeline.report_text import write_table, write_words
 
 
 @dataclass(frozen=True)
@@ -158,12 +159,12 @@ class Report(Tabled):
 
         The reference shares the scene's samples: the error of what lies between them is added.
         """
-        if self._judged is None or self.tolerance is None:
+        if self.judged_error is None or self.tolerance is None:
             return None
-        return self._judged.meets(self.tolerance)
+        return self.judged_error.meets(self.tolerance)
 
     @property
-    def _judged(self):
+    def judged_error(self) -> Error | None:
         """The true error, with the error that its reference shares; None if it is not known."""
         return self.error and self.error.with_bound(self.account.bounds.get(SAMPLING))
 
@@ -199,14 +200,6 @@ class Report(Tabled):
         )
         return [*bounds.items(), (last, self.account.total)]
 
-    @property
-    def _border(self):
-        """Words for the error of the border if no tolerance limits it; else ""."""
-        border = self.account.bounds.get("border")
-        if self.tolerance is not None or border is None:
-            return ""
-        return f"; no tolerance: border error rms {border.rms:.2g}, largest {border.max_sigma:.2g} sigma, predicted"
-
     def __repr__(self):
         named = f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']}"
         verdict = "" if self.verdict is None else f", tolerance {self.verdict.shown}"
@@ -216,45 +209,12 @@ class Report(Tabled):
         )
 
     def __str__(self):
-        lines = [
-            f"{self.scene['name']} {self.scene['cols']}x{self.scene['rows']} by {self.camera['name']} on "
-            f"{self.device['name']}: exposure {1e3 * self.camera['exposure_time_s']:.4g} ms, ISO "
-            f"{self.camera['iso']:.4g}, frame {self.frame}{self._border}"
-        ]
-        lines += [
-            f"  {stage.stage:22s} {stage.ms:9.2f} ms  {stage.model}".rstrip()
-            for stage in self.stages
-        ]
-        lines.append(
-            f"  {'sum of stages':22s} {self.ms:9.2f} ms  of {self.wall_ms:.2f} ms with planning and copies"
-        )
-        lines += [
-            f"  predicted: {name:22s} "
-            + (
-                f"rms {bound.rms:.2g}, 99.9 % {bound.p999_sigma:.2g} sigma, largest {bound.max_sigma:.2g} sigma"
-                if bound.is_known
-                else "not known"
-            )
-            for name, bound in self.errors
-        ]
-        lines += [f"  not in the total: {name} {value:.2g}" for name, value in self.beside.items()]
-        if self.error:
-            error = self.error
-            lines.append(
-                f"  true error: rms {error.rms:.2g}, largest local {error.max_local:.2g}, "
-                f"99.9 % {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma"
-            )
-        if self.prediction_ratio:
-            lines.append(f"  predicted over true relative rms: {self.prediction_ratio:.2g}")
-        if self.tolerance is not None:
-            verdict = str(self.verdict)
-            if error := self._judged:
-                verdict = (
-                    f"{'met' if self.meets_tolerance else 'NOT met'}: {error.nearest(self.tolerance)[1]}; "
-                    f"predicted {verdict}"
-                )
-            lines.append(f"  tolerance: {verdict}")
-        lines.append(f"  not modelled: {'; '.join(self.left_out)}")
-        lines += [f"  plan: {self.plan}"] * bool(self.plan)
-        lines += [f"  note: {note}" for note in self.notes]
-        return "\n".join(lines)
+        return write_words(self)
+
+    def table(self) -> str:
+        """Return the report as a table: a line for each stage, error, effect left out and note.
+
+        Returns:
+            The text; its first line is the verdict, as in `str(report)`.
+        """
+        return write_table(self)

@@ -6,6 +6,7 @@ Functions that draw several pictures take `figure` and return it.
 
 from gpusim.plot.cameras import camera, efficiency
 from gpusim.plot.errors import error, plan
+from gpusim.plot.files import save_figures
 from gpusim.plot.lens import mtf, psf
 from gpusim.plot.light import inspect, optical_image, scene, spectra
 from gpusim.plot.pictures import color_checker, colors, delta_e, picture, sfr
@@ -27,6 +28,7 @@ __all__ = [
     "plan",
     "psf",
     "raw",
+    "save_figures",
     "scene",
     "sfr",
     "snr",

@@ -101,8 +101,9 @@ def _camera(camera):
 
 
 def _report(report):
-    lines = str(report).split("\n")
-    rows = [(stage.stage, f"{stage.ms:.3g} ms", stage.model) for stage in report.stages]
+    verdict, heading, *_ = str(report).split("\n")
+    rows = [("verdict", "", verdict)]
+    rows += [(stage.stage, f"{stage.ms:.3g} ms", stage.model) for stage in report.stages]
     rows.append(
         (
             "sum of stages",
@@ -127,15 +128,11 @@ def _report(report):
                 f"99.9 % below {error.p999_sigma:.2g} sigma, largest {error.max_sigma:.2g} sigma",
             )
         )
-    if report.tolerance is not None:
-        rows.append(
-            ("tolerance", report.verdict.shown if report.verdict else "", str(report.verdict))
-        )
     rows += [
         ("not modelled", "", "; ".join(report.left_out)),
         *(("note", "", note) for note in report.notes),
     ]
-    return _table(lines[0], rows)
+    return _table(heading.strip(), rows)
 
 
 def _table(title, rows):

@@ -33,6 +33,7 @@ def test_there_are_four_and_they_are_short():
 
 def test_own_camera():
     made = runpy.run_path(str(TASKS["1_own_camera"]))
+    assert Path("own_camera.png").is_file()
     # the lens at 550 nm and f/2.4 times the pixel's sinc is what no demosaicking surpasses by much, and bilinear green
     # what an adaptive one surpasses; a tenth for the light's other wavelengths and the matrix
     f = np.linspace(0, 0.5, 501)
@@ -56,6 +57,7 @@ def test_pairs(photographs):
     runpy.run_path(str(TASKS["2_pairs"]))
     found = sorted(Path("pairs").glob("*.npz"))
     assert [path.stem for path in found] == [path.stem for path in photographs]
+    assert all(path.with_suffix(".png").is_file() for path in found)
     pairs = [np.load(path) for path in found]
     for pair in pairs:
         noisy, clean = (pair[name].astype(float) for name in ("noisy", "clean"))
@@ -95,6 +97,7 @@ def test_mitsubas_render():
         [part.std() for part in (picture[:, 10:54], picture[:, 74:118])] for picture in (near, far)
     ]
     assert contrast[0][0] > 2 * contrast[1][0] and contrast[1][1] > 2 * contrast[0][1], contrast
+    assert Path("focus.png").is_file()
     assert {path.name for path in Path().glob("*.dng")} == {"focus-0.5m.dng", "focus-3.0m.dng"}
 
 
@@ -118,5 +121,6 @@ def test_two_pixel_sizes():
     made = runpy.run_path(str(TASKS["4_pixel_sizes"]))
     shapes = [axis.images[0].get_array().shape for axis in made["axes"]]
     assert shapes == [(160, 240, 3), (80, 120, 3)]
+    assert Path("pixel_sizes.png").is_file()
     small, large = (float(axis.get_title().split()[-1]) for axis in made["axes"])
     assert large < small  # of one light four times the electrons on a pixel

@@ -97,6 +97,7 @@ ROWS = {
         "quality": (f"{CHART} -o out.jpg", "--quality 20"),
         "report": (CHART, "--report report.json"),
         "verify": (CHART, "--verify"),
+        "verbose": (CHART, "--verbose"),
     },
     "plan": SCENE
     | {
@@ -671,3 +672,26 @@ def test_an_option_that_a_plot_does_not_use_is_refused(panel, outcome):
         assert (status, files) == (2, {}) and error.count("\n") == 1, name
         words = REASONS.get((panel, name), f"look --what {panel} does not use it; leave it out")
         assert f": {words}" in error, name
+
+
+# ---- folders
+
+
+@pytest.mark.parametrize(
+    ("command", "made"),
+    [
+        (f"simulate {CHART} -o DIR/a.npz --report DIR/more/r.json", {"a.npz", "more/r.json"}),
+        (f"plan {CHART} --json DIR/a.json", {"a.json"}),
+        (f"look {CHART} --what raw -o DIR/a.png", {"a.png"}),
+        (f"video {PHOTO} --frames 2 -o DIR/a.png", {"a_0000.png", "a_0001.png", "a_video.json"}),
+        (f"video {PHOTO} --frames 2 -o DIR/a.mkv", {"a.mkv"}),
+        (f"video {PHOTO} --frames 2 -o DIR/a.y4m", {"a.y4m"}),
+        (f"pairs {CHART} -o DIR", {"000000.tar", "pairs.json"}),
+    ],
+)
+def test_commands_make_the_folder_of_their_output(command, made, inputs, tmp_path, monkeypatch):
+    monkeypatch.chdir(inputs)
+    folder = tmp_path / "new" / "folder"
+    assert main(shlex.split(command.replace("DIR", str(folder)))) == 0
+    found = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+    assert found >= made

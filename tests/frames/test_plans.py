@@ -121,4 +121,4 @@ def test_plans_meet_their_tolerance(device, tolerance):
             report
         )  # whose edges want a longer reach
         assert report.meets_tolerance or not report.verdict.is_met, str(report)
-        assert report.account.total.rms > 0 and "all together" in str(report)
+        assert report.account.total.rms > 0 and "all together" in report.table()

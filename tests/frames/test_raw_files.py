@@ -317,3 +317,21 @@ def test_filters_that_give_other_planes(tmp_path):
         OutOfRange, match=r"processor\.table with a \.dng output = filters with the outputs X, Y, Z"
     ):
         replace(frame, camera=replace(camera, processor=processor)).save(tmp_path / "a.dng")
+
+
+@pytest.mark.parametrize("name", ["quad-bayer", "rccb", "x-trans", "rgbw"])
+def test_mosaics_that_raw_converters_misread_are_refused(name, tmp_path):
+    """LibRaw's own pattern of the file, where one is written, is the mosaic; a larger period would lose its end."""
+    camera = gs.open_camera("phone").with_(cfa=name)
+    path = tmp_path / "a.dng"
+    frame = gs.Simulator(camera, device="numpy")(gs.chart("colorchecker", size=(36, 24)))
+    if name == "quad-bayer":
+        with pytest.raises(OutOfRange, match=r"4 x 4: allowed is 2 x 2 pixels, or 6 x 6 .*\.npz"):
+            frame.save(path)
+        assert not path.exists()
+        return
+    frame.save(path)
+    with rawpy.imread(str(path)) as file:
+        assert np.array_equal(file.raw_image_visible, frame.raw)
+        rows, cols = len(camera.sensor.cfa), len(camera.sensor.cfa[0])
+        assert file.raw_pattern.shape == (rows, cols)

@@ -366,7 +366,6 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_pa
         "only a video has codes": [*chart, "--transfer", "srgb", "-o", png],
         "give only the video": [untagged, "flat", "-o", png],
         "scenes make as many frames": [pictures, "--frames", "3", "-o", png],
-        "does not exist": [*chart, "-o", out / "b" / "a.png"],
     }.items():
         assert words in refused(capsys, *arguments, *asked), words
         left = {path.name for path in out.rglob("*")}

@@ -405,7 +405,7 @@ def run(monkeypatch, capsys):
         ("loops.py", ("--device", "numpy", "--size", "0x0"), "size = 0 x 0"),
         ("loops.py", ("--device", "numpy", "--size", "big"), "wanted COLSxROWS"),
         ("noise.py", ("--device", "numpy", "--repeat", "0"), "wanted a whole number"),
-        ("noise.py", ("--device", "numpy", "--json", "missing/folder.json"), "does not exist"),
+        ("noise.py", ("--device", "numpy", "--json", f"{__file__}/a.json"), "cannot be written"),
         ("two_devices.py", ("--device", "numpy,numpy"), "numpy twice"),
         ("runner.py", ("--device", "numpy"), "an OpenCL device"),
         ("runner.py", ("--seconds", "0"), "seconds = 0.0"),

@@ -156,7 +156,10 @@ def test_refusals_are_one_line(tmp_path, capsys):
         ((a, str(tmp_path / "text.json")), "is not JSON"),
         ((a, str(tmp_path / "list.json")), "is not a result"),
         ((a, other_device, "--row", "optics.row1"), "did you mean"),
-        ((a, other_device, "--html", str(tmp_path / "no" / "page.html")), "does not exist"),
+        (
+            (a, other_device, "--html", str(tmp_path / "text.json" / "page.html")),
+            "cannot be written",
+        ),
         ((a, other_device, "--history"), "wanted one machine"),
         ((a, a, "--history", "--worst", "5%"), "--worst"),
         ((a, a, "--history", "--other-kernels"), "--other-kernels"),

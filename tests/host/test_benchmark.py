@@ -482,7 +482,7 @@ def test_a_form_of_an_unknown_subcommand_stays():
         ("--device numpy --size 0x0", "size = 0 x 0"),
         ("--device numpy --size big", "wanted COLSxROWS"),
         ("--device numpy --rounds 0", "wanted a whole number"),
-        ("--device numpy --json missing/a.json", "does not exist"),
+        (f"--device numpy --json {__file__}/a.json", "cannot be written"),
         ("--append missing.json", "cannot be read"),
         ("--append a.json --quick", "--quick: --append repeats the rows of its file"),
         ("--append a.json --json b.json", "--json: --append repeats the rows of its file"),

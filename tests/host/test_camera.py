@@ -11,6 +11,7 @@ from gpusim.data.curves import CHANNELS, curve
 from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
 from gpusim.domain.camera_keys import SECTIONS
+from gpusim.domain.digest import digest
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, BadFile, OutOfRange, UnknownName
 from gpusim.domain.exposure import AutoExposure
@@ -581,7 +582,7 @@ def test_built_in_cameras_count_nothing_beyond_their_tables(name):
 
 # ----------------------------------------------------------------------------------------------------- camera files
 
-MINIMAL = """
+MINIMAL = """base = "none"
 [optics]
 f_number = 2.8
 focal_length_mm = 4.5
@@ -1103,3 +1104,40 @@ def test_any_value_of_any_key_makes_a_camera_or_is_refused_in_a_line(key):
             camera.with_(**{key: value})
         except gs.GpusimError as error:
             assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "[optics]", "[noise]", "optics = {f_number = 1.8}", "name = 'x'"]
+)
+def test_without_a_base_keys_are_the_phones(tmp_path, text):
+    """Whatever the file says that the phone says too, or an empty section: the same camera."""
+    phone = open_camera("phone")
+    found = open_camera(written(tmp_path, text))
+    assert digest(dataclasses.replace(found, name=phone.name, notes=())) == digest(phone)
+
+
+def test_a_file_without_a_base_says_which_keys_are_the_phones(tmp_path):
+    (note,) = open_camera(written(tmp_path, MINIMAL.replace('base = "none"', ""))).notes
+    assert note == (
+        "cam.toml has no base: cfa, qe_ends, ir_cut, black_level_dn, read_e, dark_current_e_per_s, prnu, dsnu_e, "
+        "demosaic are the phone's"
+    )
+    assert open_camera(written(tmp_path, MINIMAL.replace('"none"', '"phone"'))).notes == ()
+    bare = open_camera(written(tmp_path, MINIMAL))
+    assert bare.notes == () and bare.sensor.noise.read == 0 and bare.sensor.black_level == 0
+
+
+def test_a_base_without_a_base_is_the_phone_with_changes(tmp_path):
+    (tmp_path / "below.toml").write_text("[optics]\nf_number = 4\n")
+    found = open_camera(written(tmp_path, 'base = "below.toml"\n[noise]\nread_e = 1\n'))
+    assert (found.optics.f_number, found.optics.focal_length, found.sensor.noise.read) == (
+        4,
+        4.44e-3,
+        1,
+    )
+
+
+def test_a_calibration_without_a_base_has_its_own_focal_length(tmp_path):
+    numbers = "{width = 64, height = 48, fx = 100, fy = 100, cx = 32, cy = 24}"
+    found = open_camera(written(tmp_path, f"[optics]\ncalibration = {numbers}\n"))
+    assert found.optics.focal_length == pytest.approx(100 * 1.4e-6)

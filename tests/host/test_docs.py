@@ -1,5 +1,6 @@
 """The README, and the pages that are made of the code, say what the code does."""
 
+import ast
 import re
 import shlex
 import subprocess
@@ -21,6 +22,7 @@ BUILT = ("generated/", "gallery/")  # pages that are made when the documentation
 @pytest.fixture(autouse=True)
 def docs_are_found(monkeypatch):
     monkeypatch.syspath_prepend(ROOT / "docs")
+    monkeypatch.syspath_prepend(ROOT / "tests" / "frames")
 
 
 def commands(text):
@@ -37,10 +39,36 @@ def test_gallery_has_the_commands_that_made_it():
     pictures = (ROOT / "docs" / "pictures.py").read_text()
     shown = README.partition("<!-- gallery -->")[2].partition("<!-- end of gallery -->")[0]
     found = commands(shown)
-    assert len(found) == 6 and shown.count("docs/pictures/") == 6
-    for command in found:
-        assert f'"{command}"' in pictures
-        assert (ROOT / "docs" / "pictures" / shlex.split(command)[-1]).is_file()
+    assert len(found) == 9 and shown.count("docs/pictures/") == 10  # one is of Python
+    made = ast.parse(pictures)
+    texts = {node.value for node in ast.walk(made) if isinstance(node, ast.Constant)}
+    assert {*found} <= texts
+    for picture in re.findall(r"docs/pictures/[\w-]+\.png", shown):
+        assert (ROOT / picture).is_file()
+
+
+def test_landing_page_has_four_cards_and_their_pages():
+    """Each card leads to a page with a command, a picture and a time."""
+    page = (ROOT / "docs" / "index.md").read_text()
+    cards = re.findall(r":::\{container\} card\n\*\*\[[\w ]+\]\((\w+\.md)\)\*\*", page)
+    assert cards == ["design.md", "train.md", "render.md", "kernels.md"]
+    for name in cards:
+        text = (ROOT / "docs" / name).read_text()
+        assert re.search(r"^gpusim .*$", text, re.M) and "![" in text and "processor time" in text
+    for picture in re.findall(r"\]\((pictures/[\w-]+\.png)\)", page):
+        assert (ROOT / "docs" / picture).is_file()
+
+
+def test_the_stage_of_the_kernels_page_is_the_one_that_is_tested():
+    """tests/frames/test_trial_stage.py adds this stage and runs it."""
+    from test_trial_stage import FILES, LINES, TRUTH
+
+    page = (ROOT / "docs" / "kernels.md").read_text()
+    blocks = [
+        block.strip("\n") for block in re.findall(r"```\{code-block\} \w+\n(.*?)```", page, re.S)
+    ]
+    lines = [text for _, text in LINES.values() if text] + [TRUTH[1].split("    return found")[0]]
+    assert blocks == [text.strip("\n") for text in (*FILES.values(), *lines)]
 
 
 def test_pictures_of_plots_have_their_commands_and_all_panels():

@@ -15,10 +15,10 @@ from gpusim.data.colorimetry import cmf, xyz
 from gpusim.data.lights import illuminant, white_radiance
 from gpusim.data.srgb import srgb_primaries, srgb_to_xyz
 from gpusim.domain.content import Basis, Cube, Materials
-from gpusim.domain.errors import BadData, BadFile, DoesNotFit, GpusimError, OutOfRange, UnknownName
+from gpusim.domain.errors import BadData, BadFile, DoesNotFit, OutOfRange, UnknownName
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
-from gpusim.io.atomic import atomic_path
+from gpusim.io.atomic import atomic_path, check_output
 from gpusim.io.exr import read_exr, write_rgb_exr, write_spectral_exr
 from gpusim.io.frame.dng import write_dng
 from gpusim.io.frame.images import write_png
@@ -930,9 +930,23 @@ def test_atomic_path_keeps_the_old_file_when_writing_fails(tmp_path):
     assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
 
 
+def test_missing_folders_stay_only_with_a_file(tmp_path):
+    path = tmp_path / "new" / "folder" / "a.txt"
+    check_output(path)
+    assert list(tmp_path.iterdir()) == []
+    with pytest.raises(RuntimeError), atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    with atomic_path(path) as temporary:
+        temporary.write_text("whole")
+    assert path.read_text() == "whole"
+
+
 def test_atomic_path_refusals(tmp_path):
-    with fails(BadFile, tmp_path / "none" / "a.png", "does not exist"):
-        write_png(tmp_path / "none" / "a.png", np.zeros((2, 2), np.uint8))
+    (tmp_path / "file").touch()
+    with fails(BadFile, tmp_path / "file" / "a.png", "cannot be written"):
+        write_png(tmp_path / "file" / "a.png", np.zeros((2, 2), np.uint8))
     (tmp_path / "folder.png").mkdir()
     with fails(BadFile, "folder.png", "is a folder"):
         write_png(tmp_path / "folder.png", np.zeros((2, 2), np.uint8))
@@ -951,6 +965,6 @@ def test_atomic_path_refusals(tmp_path):
     ],
     ids=["npz", "spectral-exr", "rgb-exr", "png", "dng"],
 )
-def test_every_writer_refuses_a_missing_folder(tmp_path, write):
-    with fails(GpusimError, "does not exist"):
-        write(tmp_path / "none" / "a.out")
+def test_every_writer_makes_a_missing_folder(tmp_path, write):
+    write(tmp_path / "new" / "folder" / "a.out")
+    assert [path.name for path in (tmp_path / "new" / "folder").iterdir()] == ["a.out"]

@@ -191,7 +191,8 @@ def test_less_than_rounding_is_no_read_noise():
     )
 
 
-CAMERA = """[optics]
+CAMERA = """base = "none"
+[optics]
 f_number = 2
 focal_length_mm = 4
 [sensor]

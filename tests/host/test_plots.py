@@ -9,6 +9,7 @@ import matplotlib
 import numpy as np
 import pytest
 from edges import gaussian_edge, gaussian_mtf
+from PIL import Image
 
 import gpusim as gs
 from gpusim.data.charts import colorchecker_patches
@@ -561,3 +562,15 @@ def test_without_matplotlib_it_is_said_how_to_get_it(monkeypatch):
         Missing, match=r"matplotlib is not installed; wanted: pip install 'gpusim\[plot\]'"
     ):
         gs.plot.mtf(PHONE)
+
+
+def test_open_figures_are_saved_and_closed(tmp_path, capsys):
+    pyplot.close("all")
+    for _ in range(2):
+        pyplot.subplots()[1].plot([0, 1])
+    stem = tmp_path / "new" / "night"
+    saved = gs.plot.save_figures(stem)
+    assert [path.name for path in saved] == ["night_1.png", "night_2.png"]
+    assert all(Image.open(path).size[0] > 100 for path in saved) and pyplot.get_fignums() == []
+    assert capsys.readouterr().out.count("saved ") == 2
+    assert gs.plot.save_figures(stem) == []

@@ -6,8 +6,10 @@ import time
 
 import pytest
 
+import gpusim as gs
 from gpusim.cli import progress
-from gpusim.domain.progress import announced, listening
+from gpusim.cli.main import main
+from gpusim.domain.progress import announce_each, announced, listening
 
 
 class Terminal(io.StringIO):
@@ -33,6 +35,29 @@ def test_work_inside_other_work_gives_way_to_it():
     with listening(heard.append), announced("planning"), announced("compiling"):
         pass
     assert heard == ["planning", "compiling", "planning", None]
+
+
+def test_each_item_is_announced_while_it_is_made():
+    heard = []
+
+    def items():
+        for number in range(2):
+            heard.append(f"making {number}")
+            yield number
+
+    with listening(heard.append):
+        assert list(announce_each(items(), "{} done".format)) == [0, 1]
+    assert heard == ["0 done", "making 0", None, "1 done", "making 1", None, "2 done", None]
+
+
+def test_the_reference_and_the_cases_of_verify_are_announced(capsys):
+    heard = []
+    simulate = gs.Simulator(gs.open_camera("phone"), device="numpy")
+    with listening(heard.append):
+        simulate(gs.chart("flat", size=(6, 4)), verify=True)
+        assert main(["verify", "--stage", "display.encode", "--device", "numpy"]) == 0
+    capsys.readouterr()
+    assert "computing the float64 reference" in heard and "verifying, 1 cases done" in heard
 
 
 def test_long_work_has_a_line_that_goes(monkeypatch):

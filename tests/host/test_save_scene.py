@@ -261,7 +261,6 @@ def test_light_that_varies(tmp_path):
         ({}, "a.npz", {"radiance": True}, OutOfRange, r"not for \.npz"),
         ({}, "scene", {}, UnknownName, "format of a scene's file"),
         ({}, "a.npz", {"half": True}, OutOfRange, r"for \.exr only"),
-        ({}, "none/a.exr", {}, BadFile, "does not exist"),
         (
             {"illuminant": LIGHT.scale(1e30)},
             "a.exr",

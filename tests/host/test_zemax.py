@@ -241,7 +241,7 @@ def test_listings_become_an_archive_of_a_camera(tmp_path):
     np.testing.assert_allclose(again.values, direct.values, rtol=1e-15)
     assert again.spacing == pytest.approx(direct.spacing, rel=1e-15) and again.heights is None
     (tmp_path / "own.toml").write_text(
-        '[optics]\nf_number = 4\nfocal_length_mm = 4\npsf = "lens.npz"\n[sensor]\n'
+        'base = "none"\n[optics]\nf_number = 4\nfocal_length_mm = 4\npsf = "lens.npz"\n[sensor]\n'
         'pixel_pitch_um = 2\nqe = "mt9v024"\nfull_well_e = 9000\nbits = 10\n'
     )
     assert gs.open_camera(tmp_path / "own.toml").optics.model == "measured"

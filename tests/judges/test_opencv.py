@@ -437,7 +437,10 @@ def test_camera_files_take_calibrations(tmp_path):
     """As a file, as one camera of several, and as numbers; the focal length follows unless it is given."""
     written(tmp_path, ROS, "camera_info.yaml")
     written(tmp_path, KALIBR, "camchain.yaml")
-    optics = "[optics]\nf_number = 2\n{}\n[sensor]\npixel_pitch_um = 6\nqe = 'mt9v024'\nfull_well_e = 9000\nbits = 10"
+    optics = (
+        "base = 'none'\n[optics]\nf_number = 2\n{}\n"
+        "[sensor]\npixel_pitch_um = 6\nqe = 'mt9v024'\nfull_well_e = 9000\nbits = 10"
+    )
 
     def opened(lines):
         return gs.open_camera(written(tmp_path, optics.format(lines), "own.toml")).optics

@@ -15,6 +15,7 @@ from gpusim.data.lights import BRIGHTEST
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData
 from gpusim.io.camera.cameras import (
+    NO_BASE,
     REPLACED,
     anchor_paths,
     camera_names,
@@ -158,7 +159,7 @@ class State:
         """Return the text of the camera file."""
         import tomli_w
 
-        return tomli_w.dumps(self.table())
+        return tomli_w.dumps({"base": NO_BASE} | self.table())  # it has all keys
 
     @property
     def asked(self) -> str | None:

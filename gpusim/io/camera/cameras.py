@@ -51,7 +51,8 @@ from gpusim.io.camera.learned import read_table
 from gpusim.io.files import name_in_errors, read_cells, read_text, reading
 
 _FOLDER = Path(str(resources.files("gpusim.data")), "cameras")
-BASE = "phone"  # camera of an empty file
+BASE = "phone"  # camera whose keys a file without `base` gets
+NO_BASE = "none"  # value of `base` for a file that has all of its keys
 # Keys that exclude each other: a key of a file removes these of its base
 REPLACED: dict[str, dict[str, tuple[str, ...]]] = {
     "optics": {
@@ -94,8 +95,10 @@ def open_camera(name_or_path: str | os.PathLike) -> Camera:
     """Open a built-in camera by name, or a camera file (TOML).
 
     A file's keys are the fields of Optics, Sensor, Processor and Display; keys with a unit end in
-    it, for example `pixel_pitch_um`. With `base`, the name of a built-in camera or a file in the
-    same folder, all missing keys are taken from that camera; an empty file is the camera BASE.
+    it, for example `pixel_pitch_um`. Missing keys are those of `base`, the name of a built-in camera
+    or a file in the same folder; without `base` those of the phone, and a note names them. With
+    `base = "none"` the file has all keys that a camera needs, and models that it leaves out are not
+    used.
 
     Args:
         name_or_path: name of a built-in camera, or path of a camera file.
@@ -112,7 +115,7 @@ def open_camera(name_or_path: str | os.PathLike) -> Camera:
         raise BadData(f"camera: {type(name_or_path).__name__}, wanted a name or a file's path")
     path, table = camera_table(name_or_path)
     try:
-        return camera_of(path, table)
+        camera = camera_of(path, table)
     except BadFile as error:
         named = _KEY.search(error.details)
         if named is None:
@@ -125,6 +128,32 @@ def open_camera(name_or_path: str | os.PathLike) -> Camera:
             raise
         why = f"{error.details.removeprefix(f'{path}: ')} (the key is its base's, {where})"
         raise BadFile(path, why) from error
+    _, own = _file_table(name_or_path)
+    if note := _note_base(path, own, table):
+        camera = dataclasses.replace(camera, notes=(*camera.notes, note))
+    return camera
+
+
+def _note_base(path, own, table):
+    """Return a note on the phone's keys that a file without a base uses; "" if there are none.
+
+    own: keys of the file. table: these with the phone's.
+    """
+    if "base" in own or not own.keys() - {"name"} or _is_built_in(path):
+        return ""
+    _, below = _file_table(BASE)
+    taken = [
+        key
+        for section in below
+        for key in below[section]
+        if key not in _section(own, section) and key in _section(table, section)
+    ]
+    return f"{path.name} has no base: {', '.join(taken)} are the {BASE}'s" if taken else ""
+
+
+def _is_built_in(path):
+    """Return whether a file is that of a built-in camera."""
+    return path.resolve().parent == _FOLDER.resolve()
 
 
 def camera_table(name_or_path) -> tuple[Path, dict]:
@@ -188,9 +217,10 @@ def _rows(cfa):
 def _chain(name_or_path):
     """Yield a camera's file, its base, the base of that ..., each with its own keys."""
     path, table = _file_table(name_or_path)
-    files, base = [path.resolve()], table.pop("base", None if table.keys() - {"name"} else BASE)
+    has_focal_length = "base" not in table and "calibration" in _section(table, "optics")
+    files, base = [path.resolve()], table.pop("base", None if _is_built_in(path) else BASE)
     yield path, table
-    while base is not None:
+    while base not in (None, NO_BASE):
         word, place = f"base = {format_value(base)}", base
         if not isinstance(base, str):
             raise BadFile(files[-1], f"{word}: wanted a camera's name or file")
@@ -203,7 +233,9 @@ def _chain(name_or_path):
         if path.resolve() in files:
             raise BadFile(files[-1], f"{word}: the bases form a loop")
         files.append(path.resolve())
-        base = table.pop("base", None)
+        base = table.pop("base", None if _is_built_in(path) else BASE)
+        if has_focal_length:  # that of the phone would hide the calibration's
+            table["optics"].pop("focal_length_mm")
         yield path, table
 
 

@@ -13,6 +13,8 @@ LIGHTS = {"A": 17, "B": 18, "C": 19, "D55": 20, "D65": 21, "D75": 22, "D50": 23}
 # index is the code in a CFAPattern: red, green, blue, cyan, magenta, yellow, white
 FILTERS = "RGBCMYW"
 PLANES = (1, 3, 4)  # channels that colour matrices and other programs support
+# periods of mosaics that raw converters read; of others they take a part as the whole, and show stripes
+READABLE = ((2, 2), (6, 6))
 LARGEST = 2**31 - 1  # numerator or denominator
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
 
@@ -29,6 +31,13 @@ def check_dng(cfa, channels):
     if strange:
         allowed = f"{', '.join(FILTERS)}; .npz holds any"
         raise OutOfRange("filters of a DNG", ", ".join(strange), allowed)
+
+
+def check_readable(cfa):
+    """Raise OutOfRange for a mosaic that raw converters misread. cfa: one period, () without."""
+    if cfa and (len(cfa), len(cfa[0])) not in READABLE:
+        allowed = "2 x 2 pixels, or 6 x 6 as in x-trans: raw converters misread others; .npz and .raw.npy hold any"
+        raise OutOfRange("period of a DNG's mosaic", f"{len(cfa)} x {len(cfa[0])}", allowed)
 
 
 def write_dng(

@@ -10,7 +10,7 @@ from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.io.archive import write_archive
 from gpusim.io.atomic import atomic_path
 from gpusim.io.exr import write_rgb_exr
-from gpusim.io.frame.dng import check_dng, write_dng
+from gpusim.io.frame.dng import check_dng, check_readable, write_dng
 from gpusim.io.frame.images import write_jpeg, write_png, write_tiff
 
 # the first is the default
@@ -52,7 +52,9 @@ def check_format(path, camera, bits=None, quality=None):
     if suffix != ".dng":
         return
     sensor, table = camera.sensor, camera.processor.table
-    check_dng(() if sensor.stacked or sensor.is_monochrome else sensor.cfa, sensor.channels)
+    cfa = () if sensor.stacked or sensor.is_monochrome else sensor.cfa
+    check_dng(cfa, sensor.channels)
+    check_readable(cfa)
     if not sensor.is_monochrome and table is not None and table.layout.outputs != sensor.channels:
         found = f"filters with the outputs {', '.join(table.layout.outputs)}"
         allowed = "filters with the camera's channels as outputs: a raw converter needs their white"
