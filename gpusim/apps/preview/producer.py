@@ -6,6 +6,7 @@ A slider recomputes only the steps that depend on it.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from threading import Lock
 
 import numpy as np
 
@@ -45,7 +46,7 @@ class Picture:
 
 
 class Producer:
-    """A client's pictures of scenes. One thread at a time may use all producers of a device.
+    """A client's pictures of scenes. One thread at a time may use it, and another one `half_picture`.
 
     It holds no memory of the device before its first picture, and after `release`.
 
@@ -68,6 +69,7 @@ class Producer:
         self._scenes, self.device, self.period = scenes, device, period
         self._capture = capture
         self.frames = NUMBERS if scenes.is_still else scenes.count
+        self._choosing = Lock()  # of camera and scene
         self.release()
 
     def release(self) -> None:
@@ -87,23 +89,40 @@ class Producer:
         """Whether there is something to `release`."""
         return self._loop is not None or self._shown[1] is not None
 
-    def picture(
-        self, state: State, number: int, drafts: bool = False, is_half: bool = False
-    ) -> Picture:
-        """Return a picture of a state.
-
-        Args:
-            state: The state.
-            number: Number of the frame.
-            drafts: See `Loop.update`.
-            is_half: Whether a draft has half as many rows and columns, if that is possible.
+    def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
+        """Return a picture of a state. drafts: see `Loop.update`.
 
         Raises as camera, light and simulation do.
         """
         begun = time.perf_counter()
-        loop = self._half_loop(state, number) if drafts and is_half else None
-        if loop is None:
-            loop = self._update(state, number, drafts)
+        loop = self._update(state, number, drafts)
+        other = None
+        if state.other is None:
+            self._other = None  # frees its memory on the device
+        else:
+            self._other = self._other or Producer(self._scenes, self.device, capture=self._capture)
+            other = self._other.picture(state.other, number, drafts).codes
+        return self._show(loop, state, number, begun, other)
+
+    def half_picture(self, state: State, number: int) -> Picture | None:
+        """Return a draft of half as many rows and columns; None if there is none.
+
+        It plans nothing, and may be called while another thread calls other methods, which may plan.
+
+        Raises as camera, light and simulation do.
+        """
+        begun = time.perf_counter()
+        if self._capture is not None or state.other is not None or not self._scenes.is_still:
+            return None
+        loop = self._loop
+        if loop is not None and self._tolerance == state.tolerance:
+            camera, scene = self._build(state), self._scene_in(state, number)
+            half = self._half.update(loop, camera, scene)
+            return None if half is None else self._show(half, state, number, begun)
+        return None
+
+    def _show(self, loop, state, number, begun, other=None):
+        """Return the picture of a loop. other: codes to show beside it."""
         show = {
             "rendered": self._render,
             "raw": self._raw,
@@ -125,14 +144,8 @@ class Producer:
             "exposure": exposure.exposure_time,
             "gain": exposure.gain,
         }
-        if state.other is None:
-            self._other = None  # frees its memory on the device
-        else:
-            other = self._other or Producer(self._scenes, self.device, capture=self._capture)
-            self._other = other
-            codes = _beside(
-                codes, self._other.picture(state.other, number, drafts).codes, state.split
-            )
+        if other is not None:
+            codes = _beside(codes, other, state.split)
         return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts)
 
     def frame(self, state: State, number: int) -> Frame:
@@ -205,19 +218,13 @@ class Producer:
 
     def _build(self, state):
         """Return the camera of a state."""
-        last, camera = self._built
-        wanted = state.camera, state.changes
-        if last is None or camera is None or (last.camera, last.changes) != wanted:
-            camera = state.build()
-            self._built = state, camera
-        return camera
-
-    def _half_loop(self, state, number):
-        """Return the loop of a draft of half as many rows and columns, or None."""
-        is_whole = self._capture is not None or state.other is not None
-        if is_whole or self._loop is None or self._tolerance != state.tolerance:
-            return None
-        return self._half.update(self._loop, self._build(state), self._scene_in(state, number))
+        with self._choosing:
+            last, camera = self._built
+            wanted = state.camera, state.changes
+            if last is None or camera is None or (last.camera, last.changes) != wanted:
+                camera = state.build()
+                self._built = state, camera
+            return camera
 
     def _update(self, state, number, drafts):
         camera, scene = self._build(state), self._scene_in(state, number)
@@ -242,6 +249,11 @@ class Producer:
         return self._loop
 
     def _scene_in(self, state, number):
+        """Return the scene of a frame in the light of a state."""
+        with self._choosing:
+            return self._lit_scene(state, number)
+
+    def _lit_scene(self, state, number):
         number = 0 if self._scenes.is_still else number % self._scenes.count
         if self._shown[0] != number:
             if number != self._next:

@@ -20,18 +20,24 @@ from gpusim.domain.errors import GpusimError, one_line
 IN_FLIGHT = 2  # frames that were sent and not yet painted
 QUALITY = 85  # of the JPEGs
 STILL = 0.3  # [s] without a change after which pictures are exact, and still ones are lossless
-SLOW = 0.026  # [s] of a draft after which others of its slider have half the rows and columns
+POLL = 0.005  # [s] between looks for other settings while a picture is made
+SLOW = 0.02  # [s] of a draft after which others of its slider have half the rows and columns
 TIMES = 2  # in a row: the first one may build kernels
 COUNTED = 30  # frames over which rate and latency are averaged
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1
 
-DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # only one thread at a time uses a device
+DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # makes whole pictures, and what belongs to them
+DRAFTS = ThreadPoolExecutor(1, "gpusim-drafts")  # makes drafts of half as many rows and columns
 
 
 async def compute(work, *arguments):
-    """Return the result of a function, called in the thread that uses the device."""
-    return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
+    """Return the result of a function, called in the thread that makes whole pictures."""
+    return await _run(DEVICE, work, *arguments)
+
+
+async def _run(thread, work, *arguments):
+    return await asyncio.get_running_loop().run_in_executor(thread, work, *arguments)
 
 
 class Session:
@@ -52,6 +58,7 @@ class Session:
         self.streams = 0  # websockets that show its pictures
         self.was_seen = False  # whether there has been one
         self._slider = ""  # what was moved last
+        self._whole: asyncio.Future | None = None  # a whole picture that is made, or was last
         self._slow: dict[str, int] = {}  # slider -> slow drafts in a row
 
     @property
@@ -175,7 +182,7 @@ class Session:
         await self._changed.wait()
 
     async def _make_picture(self, version, settles):
-        """Return a frame's bytes; none if the settings make no picture, and the last one stays."""
+        """Return a frame's bytes; none if the settings make no picture or have changed: the last one stays."""
         state, crop = self.state, self.crop
         if state.is_live:
             self.number = (self.number + 1) % self.producer.frames
@@ -183,7 +190,7 @@ class Session:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, kind, data = await self.compute(self._encode, state, self.number, crop, settles)
+            made = await self._make(version, state, self.number, crop, settles)
         except GpusimError as error:
             self.error = str(error)
             return None
@@ -192,29 +199,68 @@ class Session:
             return None
         finally:
             self.begun = None
-        self.shown, self.error = shown, ""
-        return HEAD.pack(shown.number, version % 2**32, kind) + data
+        if made is None:
+            return None
+        (self.shown, kind, data), self.error = made, ""
+        return HEAD.pack(self.shown.number, version % 2**32, kind) + data
 
-    def _encode(self, state, number, crop, settles):
-        import simplejpeg
+    async def _make(self, version, state, number, crop, settles):
+        """Return a picture, its kind and its bytes; None if there are other settings before it is made.
 
+        While a whole picture is made, for example planned, there may be drafts of half as many rows and columns.
+        """
+        drafts, slider = self._moves and not settles, self._slider
+        if drafts and crop is None and (self._is_busy or self._slow.get(slider, 0) >= TIMES):
+            made = await _run(DRAFTS, self._encode_half, state, number)
+            if made is not None:
+                return made
+        while self._is_busy:
+            await asyncio.wait({self._whole}, timeout=POLL)
+            if self.version != version:
+                return None
+        self._whole = asyncio.ensure_future(
+            self.compute(self._encode, state, number, crop, settles, drafts, slider)
+        )
+        self._whole.add_done_callback(_note_result)
+        while not self._whole.done():
+            await asyncio.wait({self._whole}, timeout=POLL)
+            if self.version != version and not drafts:
+                return None  # the thread goes on
+        return self._whole.result()
+
+    @property
+    def _is_busy(self):
+        """Whether a whole picture is being made."""
+        return self._whole is not None and not self._whole.done()
+
+    def _encode_half(self, state, number):
+        shown = self.producer.half_picture(state, number)
+        return None if shown is None else (shown, JPEG, _jpeg(shown.codes))
+
+    def _encode(self, state, number, crop, settles, drafts, slider):
         shown = self.shown
         if not settles or shown is None or shown.facts.get("draft"):
-            shown = self._picture(state, number, crop, self._moves and not settles)
+            start = time.monotonic()
+            shown = self.producer.picture(state, number, drafts)
+            if drafts and slider:
+                is_slow = time.monotonic() - start > SLOW
+                self._slow[slider] = self._slow.get(slider, 0) + 1 if is_slow else 0
         codes = shown.codes if crop is None else shown.codes[crop.part]
         if settles or crop is not None:
             return shown, PNG, _png(codes)
-        return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
+        return shown, JPEG, _jpeg(codes)
 
-    def _picture(self, state, number, crop, drafts):
-        """Return a picture; drafts of a slider whose drafts are slow have half the rows and columns."""
-        slider, start = self._slider, time.monotonic()
-        is_half = drafts and crop is None and self._slow.get(slider, 0) >= TIMES
-        shown = self.producer.picture(state, number, drafts=drafts, is_half=is_half)
-        if drafts and slider and not is_half:
-            is_slow = time.monotonic() - start > SLOW
-            self._slow[slider] = self._slow.get(slider, 0) + 1 if is_slow else 0
-        return shown
+
+def _note_result(task):
+    """Read the error of a task that nobody waits for any more: asyncio would report it."""
+    if not task.cancelled():
+        task.exception()
+
+
+def _jpeg(codes):
+    import simplejpeg
+
+    return simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
 
 
 def _png(codes):
