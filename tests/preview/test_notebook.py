@@ -29,6 +29,9 @@ class Fake:
     def __init__(self):
         self.made = []
 
+    def half_picture(self, state, number):
+        return None
+
     def picture(self, state, number, drafts=False):
         time.sleep(0.02)
         self.made.append(state)

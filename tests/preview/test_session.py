@@ -16,6 +16,7 @@ from gpusim.apps.preview import session as module
 from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, VIEWS
 from gpusim.apps.preview.guard import Guard
 from gpusim.apps.preview.half import halve_scene
+from gpusim.apps.preview.labels import describe_exposure
 from gpusim.apps.preview.producer import Picture, Producer
 from gpusim.apps.preview.session import IN_FLIGHT, Session
 from gpusim.apps.preview.state import History, State
@@ -339,7 +340,8 @@ def half_of(codes):
 def test_half_pictures_are_near_the_picture_and_leave_no_trace(kind):
     """Without noise: as the means of 2 x 2 pixels of the whole picture, but for a quarter of its contrast.
 
-    The quarter is structure finer than two pixels: pixels twice as wide blur it, and each sees one colour of it. They are made while another thread plans: the same as in turn, and so is what that thread makes.
+    The quarter is structure finer than two pixels: pixels twice as wide blur it, and each sees one colour of it. They
+    are made while another thread plans: the same as in turn, and so is what that thread makes.
     """
     scene = gs.chart(kind, size=(320, 256))
     producer = Producer(Still(scene, 1), open_device("opencl"))
@@ -362,6 +364,7 @@ def test_half_pictures_are_near_the_picture_and_leave_no_trace(kind):
             whole, frame = planned.result(), producer.frame(changed, 3)
             assert np.array_equal(whole.codes, frame.rgb)
             assert first.facts["draft"] and not whole.facts["draft"]
+            assert "draft of half the resolution" in describe_exposure(first.facts)
             assert np.array_equal(beside[0].codes, first.codes)
             wanted = half_of(whole.codes)
             error, contrast = first.codes - wanted, np.abs(wanted - wanted.mean()).mean()

@@ -118,7 +118,9 @@ class Producer:
         if loop is not None and self._tolerance == state.tolerance:
             camera, scene = self._build(state), self._scene_in(state, number)
             half = self._half.update(loop, camera, scene)
-            return None if half is None else self._show(half, state, number, begun)
+            if half is not None:
+                made = self._show(half, state, number, begun)
+                return replace(made, facts=made.facts | {"is half": True})
         return None
 
     def _show(self, loop, state, number, begun, other=None):

@@ -210,6 +210,8 @@ class Session:
         While a whole picture is made, for example planned, there may be drafts of half as many rows and columns.
         """
         drafts, slider = self._moves and not settles, self._slider
+        if drafts and self._is_busy:
+            await asyncio.wait({self._whole}, timeout=SLOW)
         if drafts and crop is None and (self._is_busy or self._slow.get(slider, 0) >= TIMES):
             made = await _run(DRAFTS, self._encode_half, state, number)
             if made is not None:
