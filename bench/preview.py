@@ -1,12 +1,14 @@
 """Frame rate of the preview at a client: produced, encoded, sent and acknowledged frames.
 
-    python bench/preview.py deadleaves --size 1920x1080 --camera phone --device opencl [--seconds 5]
+    python bench/preview.py deadleaves --size 1920x1080 --camera phone --device opencl [--seconds 5] [--clients 2]
 
 Unknown arguments go to `gpusim preview`, which runs in a separate process. The client acknowledges
-each frame immediately and does not decode it. Two rows: two clients, one after the other.
+each frame immediately and does not decode it. A row for each client, one after the other. The last row is the
+memory of the server (Linux) after the last client has left, and its memory is freed.
 """
 
 import argparse
+import os
 import re
 import socket
 import struct
@@ -18,6 +20,8 @@ from urllib.request import urlopen
 
 import numpy as np
 from websockets.sync.client import connect
+
+from gpusim.apps.preview.sessions import AWAY
 
 
 def started(arguments):
@@ -66,16 +70,22 @@ def main():
     """Print the rate."""
     options = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     options.add_argument("--seconds", type=float, default=5.0)
+    options.add_argument("--clients", type=int, default=2)
     asked, arguments = options.parse_known_args()
     process, address = started(arguments)
     try:
-        for _ in range(2):
+        for _ in range(asked.clients):
             times, sizes = frames(address, asked.seconds)
             gaps = 1e3 * np.diff(times)
             print(
                 f"{1e3 / gaps.mean():.1f} frames/s, gaps of {np.median(gaps):.1f} ms (95 %: "
                 f"{np.percentile(gaps, 95):.1f}), {sizes.mean() / 1024:.0f} KiB a frame"
             )
+        time.sleep(AWAY + 5)
+        if sys.platform == "linux":
+            with open(f"/proc/{process.pid}/statm") as file:
+                pages = int(file.read().split()[1])
+            print(f"{pages * os.sysconf('SC_PAGE_SIZE') / 2**20:.0f} MiB after all have left")
     finally:
         process.terminate()
         process.wait()

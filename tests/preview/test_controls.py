@@ -119,12 +119,12 @@ def test_a_camera_that_is_an_object_has_the_same_controls():
 class Partners(Fake):
     """Needs two keys together, as hot pixels and their current do."""
 
-    def picture(self, state, number, drafts=False, is_half=False):
+    def picture(self, state, number, drafts=False):
         if state.changes.get("noise.hot_pixels") and not state.changes.get(
             "noise.hot_current_e_per_s"
         ):
             raise GpusimError("noise.hot_pixels = 0.01 without noise.hot_current: wanted both")
-        return super().picture(state, number, drafts, is_half)
+        return super().picture(state, number, drafts)
 
 
 def test_a_value_that_makes_no_picture_waits_and_freezes_nothing():

@@ -29,7 +29,10 @@ class Fake:
     def __init__(self):
         self.made = []
 
-    def picture(self, state, number, drafts=False, is_half=False):
+    def half_picture(self, state, number):
+        return None
+
+    def picture(self, state, number, drafts=False):
         time.sleep(0.02)
         self.made.append(state)
         facts = {

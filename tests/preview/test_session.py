@@ -3,6 +3,8 @@
 import asyncio
 import io
 import struct
+import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +16,8 @@ from gpusim.apps.preview import session as module
 from gpusim.apps.preview.control import parse
 from gpusim.apps.preview.controls import CONTROLS, LIGHTS
 from gpusim.apps.preview.guard import Guard
+from gpusim.apps.preview.half import halve_scene
+from gpusim.apps.preview.labels import describe_exposure
 from gpusim.apps.preview.producer import Picture, Producer
 from gpusim.apps.preview.session import IN_FLIGHT, Session
 from gpusim.apps.preview.state import History, State
@@ -37,7 +41,10 @@ class Fake:
     def __init__(self):
         self.made = []
 
-    def picture(self, state, number, drafts=False, is_half=False):
+    def half_picture(self, state, number):
+        return None
+
+    def picture(self, state, number, drafts=False):
         if state.changes.get("optics.f_number") == 13:
             raise GpusimError("optics.f_number = 13: unlucky")
         if state.changes.get("optics.f_number") == 14:
@@ -45,6 +52,18 @@ class Fake:
         self.made.append((state, number))
         is_draft = drafts and "optics.f_number" in state.changes
         return Picture(np.full((8, 8, 3), number % 256, np.uint8), number, 1.0, {"draft": is_draft})
+
+
+class Slow(Fake):
+    """Whole pictures of an f-number take half a second; a draft of half the size is there at once."""
+
+    def picture(self, state, number, drafts=False):
+        if "optics.f_number" in state.changes:
+            time.sleep(0.5)
+        return super().picture(state, number, drafts)
+
+    def half_picture(self, state, number):
+        return Picture(np.full((4, 4, 3), 7, np.uint8), number, 1.0, {"draft": True})
 
 
 class Client:
@@ -62,11 +81,11 @@ class Client:
         return await self.acks.get()
 
 
-def run(scenario):
+def run(scenario, producer=Fake):
     """A scenario of coroutines with a session and its client."""
 
     async def whole():
-        session, client = Session(Fake(), STATE), Client()
+        session, client = Session(producer(), STATE), Client()
         serving = asyncio.ensure_future(session.serve(client.send, client.acknowledged))
         try:
             await asyncio.wait_for(scenario(session, client), 30)
@@ -110,6 +129,45 @@ def test_what_stands_still_is_no_draft():
         await until(lambda: not session.shown.facts["draft"])  # live noise has no end
 
     run(scenario)
+
+
+def test_a_picture_that_takes_long_delays_no_draft():
+    """A second move while the frame of the first is made whole: a draft at once, and then the frame of the second."""
+
+    async def scenario(session, client):
+        await until(lambda: len(client.frames) == 2)
+        session.set(replace(STATE, changes={"optics.f_number": 4.0}), "optics.f_number")
+        await until(lambda: len(session.producer.made) == 2)  # a draft of the whole size, slow
+        await until(lambda: session._is_busy)  # the exact frame
+        last = replace(STATE, changes={"optics.f_number": 5.0})
+        session.set(last, "optics.f_number")
+        begun = time.monotonic()
+        await until(lambda: client.frames[-1][1] == session.version)
+        assert time.monotonic() - begun < 0.25 and session.shown.codes.shape[0] == 4
+        await until(lambda: client.frames[-1][2] == module.PNG)
+        assert session.shown.codes.shape[0] == 8 and session.producer.made[-1][0] == last
+
+    run(scenario, Slow)
+
+
+def test_slow_drafts_become_smaller():
+    async def scenario(session, client):
+        await until(lambda: len(client.frames) == 2)
+        for k in range(module.TIMES):
+            changes = {"optics.f_number": 4.0 + k}
+            session.set(replace(STATE, changes=changes), "optics.f_number")
+            await until(lambda: client.frames[-1][1:3] == (session.version, module.PNG))
+        assert session._slow == {"optics.f_number": module.TIMES}
+        count = len(session.producer.made)
+        session.set(replace(STATE, changes={"optics.f_number": 6.0}), "optics.f_number")
+        await until(lambda: client.frames[-1][1] == session.version)
+        assert session.shown.codes.shape[0] == 4 and len(session.producer.made) == count
+        await until(lambda: client.frames[-1][2] == module.PNG)
+        session.set(replace(STATE, changes={"sensor.analog_gain": 2.0}), "sensor.analog_gain")
+        await until(lambda: client.frames[-1][1] == session.version)
+        assert session.shown.codes.shape[0] == 8  # another slider's
+
+    run(scenario, Slow)
 
 
 def test_live_noise_has_a_new_number_each_time():
@@ -272,6 +330,59 @@ def test_drafts_are_near_the_picture_and_leave_no_trace():
         settled, frame = producer.picture(changed, 3), producer.frame(changed, 3)
         assert not settled.facts["draft"] and np.array_equal(settled.codes, frame.rgb)
         assert np.abs(draft.codes.astype(int) - settled.codes).mean() < 0.5
+
+
+def half_of(codes):
+    rows, cols, _ = codes.shape
+    return codes.reshape(rows // 2, 2, cols // 2, 2, 3).mean(axis=(1, 3))
+
+
+@pytest.mark.parametrize("kind", ["deadleaves", "colorchecker"])
+def test_half_pictures_are_near_the_picture_and_leave_no_trace(kind):
+    """Without noise: as the means of 2 x 2 pixels of the whole picture, but for a quarter of its contrast.
+
+    The quarter is structure finer than two pixels: pixels twice as wide blur it, and each sees one colour of it. They
+    are made while another thread plans: the same as in turn, and so is what that thread makes.
+    """
+    scene = gs.chart(kind, size=(320, 256))
+    producer = Producer(Still(scene, 1), open_device("opencl"))
+    quiet = {"noise.photon": "none", "noise.read_e": 0.0, "noise.prnu": 0.0, "noise.dsnu_e": 0.0}
+    state = replace(STATE, tolerance="1e-3", changes={**quiet, "sensor.exposure_time_ms": 20.0})
+    assert producer.half_picture(state, 0) is None  # nothing is planned
+    producer.picture(state, 0)
+    with ThreadPoolExecutor(1) as pool:
+        for name, value in (
+            ("optics.f_number", 4.0),
+            ("optics.zernike_waves.7", 0.2),
+            ("sensor.pixel_pitch_um", 1.8),
+            ("processor.denoise", 1.0),
+            ("noise.read_e", 0.1),
+        ):
+            changed = replace(state, changes={**state.changes, name: value})
+            first = producer.half_picture(changed, 3)
+            planned = pool.submit(producer.picture, changed, 3)
+            beside = [producer.half_picture(changed, 3) for _ in range(3)]
+            whole, frame = planned.result(), producer.frame(changed, 3)
+            assert np.array_equal(whole.codes, frame.rgb)
+            assert first.facts["draft"] and not whole.facts["draft"]
+            assert "draft of half the resolution" in describe_exposure(first.facts)
+            assert np.array_equal(beside[0].codes, first.codes)
+            wanted = half_of(whole.codes)
+            error, contrast = first.codes - wanted, np.abs(wanted - wanted.mean()).mean()
+            assert abs(error.mean()) < 0.5 and np.abs(error).mean() < contrast / 4, name
+            assert abs(first.facts["exposure"] / whole.facts["exposure"] - 1) < 0.01
+
+
+def test_scenes_that_have_no_half():
+    producer = Producer(Broken(), open_device("numpy"), 1 / 30)
+    producer.picture(STATE, 0)
+    assert producer.half_picture(STATE, 0) is None  # it moves
+    for scene in (
+        replace(SCENE, samples_per_pixel=2.0),
+        replace(SCENE, view=gs.View((0.0, 1.0))),
+        gs.chart("colorchecker", size=(60, 40)),
+    ):
+        assert halve_scene(scene) is None
 
 
 def test_saved_files_make_the_same_camera(tmp_path):

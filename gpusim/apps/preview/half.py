@@ -66,7 +66,10 @@ class HalfLoop:
 
     def __init__(self):
         self._scene: tuple[Scene | None, Scene | None] = None, None  # whole and halved
-        self._of: tuple = (None, None)  # the plan that the loop begins with, and its camera
+        self._of: tuple = (
+            None,
+            None,
+        )  # plan of the whole scene that the loop begins with, and its camera
         self._loop: Loop | None = None
 
     def update(self, whole: Loop, camera: Camera, scene: Scene) -> Loop | None:
@@ -80,7 +83,9 @@ class HalfLoop:
         Raises:
             GpusimError: As `Loop.update` and `Loop.expose` do.
         """
-        plan, by = whole.before.plan or (None, None)
+        plan, by = whole.before.plan or self._of
+        if plan is None or plan.scene is not scene:  # not yet planned
+            plan, by = self._of
         if (
             plan is None
             or plan.scene is not scene
@@ -89,11 +94,11 @@ class HalfLoop:
         ):
             return None
         if self._scene[0] is not scene:
-            self._scene, self._of = (scene, halve_scene(scene)), (None, None)
+            self._scene = scene, halve_scene(scene)
         half = self._scene[1]
         if half is None:
             return None
-        if self._loop is None or self._of[0] is not plan or self._of[1] is not by:
+        if self._loop is None or self._of[0] is not plan or self._loop.scene is not half:
             begun = coarsen(by)
             rough = sketch_plan(plan, begun, half)
             if rough is None:

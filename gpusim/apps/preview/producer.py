@@ -6,6 +6,7 @@ A slider recomputes only the steps that depend on it.
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from threading import Lock
 
 import numpy as np
 
@@ -54,7 +55,7 @@ class Picture:
 
 
 class Producer:
-    """A client's pictures of scenes. One thread at a time may use all producers of a device.
+    """A client's pictures of scenes. One thread at a time may use it, and another one `half_picture`.
 
     It holds no memory of the device before its first picture, and after `release`.
 
@@ -87,6 +88,7 @@ class Producer:
         self._capture = capture
         self.shelf = shelf or Shelf()
         self.frames = NUMBERS if scenes.is_still else scenes.count
+        self._choosing = Lock()  # of camera and scene
         self.release()
 
     def release(self) -> None:
@@ -111,25 +113,44 @@ class Producer:
         """Whether there is something to `release`."""
         return self._loop is not None or self._shown[1] is not None
 
-    def picture(
-        self, state: State, number: int, drafts: bool = False, is_half: bool = False
-    ) -> Picture:
-        """Return a picture of a state.
-
-        Args:
-            state: The state.
-            number: Number of the frame.
-            drafts: See `Loop.update`.
-            is_half: Whether a draft has half as many rows and columns, if that is possible.
+    def picture(self, state: State, number: int, drafts: bool = False) -> Picture:
+        """Return a picture of a state. drafts: see `Loop.update`.
 
         Raises as camera, light and simulation do.
         """
         begun = time.perf_counter()
-        may_halve = drafts and is_half and state.view in OF_FRAME
-        loop = self._half_loop(state, number) if may_halve else None
-        is_half = loop is not None
-        if loop is None:
-            loop = self._update(state, number, drafts)
+        loop = self._update(state, number, drafts)
+        others = state.others
+        del self._others[len(others) :]  # frees their memory on the device
+        while len(self._others) < len(others):
+            self._others.append(self._companion())
+        pairs = zip(self._others, others, strict=True)
+        codes = [own.picture(other, number, drafts).codes for own, other in pairs]
+        return self._show(loop, state, number, begun, drafts, codes)
+
+    def half_picture(self, state: State, number: int) -> Picture | None:
+        """Return a draft of half as many rows and columns; None if there is none.
+
+        It plans nothing, and may be called while another thread calls other methods, which may plan.
+
+        Raises as camera, light and simulation do.
+        """
+        begun, loop = time.perf_counter(), self._loop
+        is_whole = self._capture is not None or state.others or not self._scenes.is_still
+        if is_whole or loop is None or state.view not in OF_FRAME:
+            return None
+        if self._tolerance != state.tolerance:
+            return None
+        camera = self._build(state)
+        half = self._half.update(loop, camera, self._scene_in(state, number, camera))
+        if half is None:
+            return None
+        made = self._show(half, state, number, begun, True)
+        return replace(made, facts=made.facts | {"is half": True})
+
+    def _show(self, loop, state, number, begun, drafts, others=None):
+        """Return the picture of a loop. others: codes to show with it; None: it has half the size."""
+        is_half = others is None
         show = {
             "rendered": self._render,
             "raw": self._raw,
@@ -144,7 +165,7 @@ class Producer:
         codes = np.ascontiguousarray(show[state.view](shown))
         if not is_half:
             self._shape = codes.shape[:2]
-        self._optics.forget(state.view)
+            self._optics.forget(state.view)
         account, exposure = loop.account, loop.expose()
         plan = loop.plan
         tolerance = None if plan.is_draft else loop.simulator.tolerance
@@ -165,19 +186,13 @@ class Producer:
             "shape": self._shape,
         }
         made = Made(state, loop, shown, None if plan.is_draft else account, tolerance)
-        if loop is self._loop:  # panels do not follow drafts of half the size
+        if not is_half:  # panels do not follow those
             self._made = made
         if state.marks_clipped:
             codes, facts["clipped"] = _mark_clipped(codes, made)
-        others = state.others
-        del self._others[len(others) :]  # frees their memory on the device
-        while len(self._others) < len(others):
-            self._others.append(self._companion())
         if others:
-            pairs = zip(self._others, others, strict=True)
-            shown = [own.picture(other, number, drafts).codes for own, other in pairs]
-            codes = compare(codes, shown, state.compare, state.split)
-        count = 1 + len(others) if state.compare == "side by side" else 1
+            codes = compare(codes, others, state.compare, state.split)
+        count = 1 + len(others) if others and state.compare == "side by side" else 1
         return Picture(codes, number, 1e3 * (time.perf_counter() - begun), facts, count)
 
     def frame(self, state: State, number: int) -> Frame:
@@ -248,20 +263,13 @@ class Producer:
 
     def _build(self, state):
         """Return the camera of a state."""
-        last, camera = self._built
-        wanted = state.camera, state.changes, state.files
-        if last is None or camera is None or (last.camera, last.changes, last.files) != wanted:
-            camera = self.build(state)
-            self._built = state, camera
-        return camera
-
-    def _half_loop(self, state, number):
-        """Return the loop of a draft of half as many rows and columns, or None."""
-        is_whole = self._capture is not None or bool(state.others)
-        if is_whole or self._loop is None or self._tolerance != state.tolerance:
-            return None
-        camera = self._build(state)
-        return self._half.update(self._loop, camera, self._scene_in(state, number, camera))
+        with self._choosing:
+            last, camera = self._built
+            wanted = state.camera, state.changes, state.files
+            if last is None or camera is None or (last.camera, last.changes, last.files) != wanted:
+                camera = self.build(state)
+                self._built = state, camera
+            return camera
 
     def _update(self, state, number, drafts):
         camera = self._build(state)
@@ -304,6 +312,10 @@ class Producer:
 
     def _scene_in(self, state, number, camera):
         """Return the scene of a frame, in its light, as a camera sees it."""
+        with self._choosing:
+            return self._seen_scene(state, number, camera)
+
+    def _seen_scene(self, state, number, camera):
         choice = state.scene
         own = self._given_scene(number) if choice.is_given else self.shelf.open(choice)
         scene = self._relight(own, state)

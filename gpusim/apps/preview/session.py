@@ -24,13 +24,15 @@ from gpusim.domain.errors import GpusimError, one_line
 IN_FLIGHT = 2  # frames that were sent and not yet painted
 QUALITY = 85  # of the JPEGs
 STILL = 0.3  # [s] without a change after which pictures are exact, and still ones are lossless
-SLOW = 0.026  # [s] of a draft after which others of its slider have half the rows and columns
+POLL = 0.005  # [s] between looks for other settings while a picture is made
+SLOW = 0.02  # [s] of a draft after which others of its slider have half the rows and columns
 TIMES = 2  # in a row: the first one may build kernels
 COUNTED = 30  # frames over which rate and latency are averaged
 HEAD = struct.Struct("<III")  # number, version, kind
 JPEG, PNG = 0, 1
 
-DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # only one thread at a time uses a device
+DEVICE = ThreadPoolExecutor(1, "gpusim-preview")  # makes whole pictures, and what belongs to them
+DRAFTS = ThreadPoolExecutor(1, "gpusim-drafts")  # makes drafts of half as many rows and columns
 
 
 @dataclass(frozen=True)
@@ -42,8 +44,12 @@ class Held:
 
 
 async def compute(work, *arguments):
-    """Return the result of a function, called in the thread that uses the device."""
-    return await asyncio.get_running_loop().run_in_executor(DEVICE, work, *arguments)
+    """Return the result of a function, called in the thread that makes whole pictures."""
+    return await _run(DEVICE, work, *arguments)
+
+
+async def _run(thread, work, *arguments):
+    return await asyncio.get_running_loop().run_in_executor(thread, work, *arguments)
 
 
 class Session:
@@ -73,6 +79,7 @@ class Session:
         self._waits: deque[float] = deque(maxlen=COUNTED)
         self.streams = 0  # websockets that show its pictures
         self.was_seen = False  # whether there has been one
+        self._whole: asyncio.Future | None = None  # a whole picture that is made, or was last
         self._slow: dict[str, int] = {}  # slider -> slow drafts in a row
 
     @property
@@ -209,7 +216,7 @@ class Session:
         await self._changed.wait()
 
     async def _make_picture(self, version, settles):
-        """Return a frame's bytes; none if the settings make no picture, and the last one stays."""
+        """Return a frame's bytes; none if the settings make no picture or have changed: the last one stays."""
         state, crop = self.state, self.crop
         if state.is_live:
             self.number = (self.number + 1) % self.producer.frames
@@ -217,9 +224,7 @@ class Session:
             self.number = state.frame
         self.begun = time.monotonic()
         try:
-            shown, kind, data = await self.compute(
-                self._find_picture, state, version, crop, settles
-            )
+            made = await self._make(version, state, self.number, crop, settles)
         except GpusimError as error:
             self.error = str(error)
             return None
@@ -228,19 +233,54 @@ class Session:
             return None
         finally:
             self.begun = None
-        self.shown, self.error = shown, ""
-        return HEAD.pack(shown.number, version % 2**32, kind) + data
+        if made is None:
+            return None
+        (self.shown, kind, data), self.error = made, ""
+        return HEAD.pack(self.shown.number, version % 2**32, kind) + data
 
-    def _find_picture(self, state, version, crop, settles):
-        """Return a picture of the settings, without a control's value that makes none."""
+    async def _make(self, version, state, number, crop, settles):
+        """Return a picture, its kind and its bytes; None if there are other settings before it is made.
+
+        While a whole picture is made, for example planned, there may be drafts of half as many rows and columns.
+        """
+        drafts = self._moves and not settles
+        if drafts and self._is_busy:
+            await asyncio.wait({self._whole}, timeout=SLOW)
+        if drafts and crop is None and (self._is_busy or self._slow.get(self._moved, 0) >= TIMES):
+            try:
+                made = await _run(DRAFTS, self._encode_half, state, number)
+            except GpusimError:
+                made = None  # the whole picture finds the value that makes none
+            if made is not None:
+                return made
+        while self._is_busy:
+            await asyncio.wait({self._whole}, timeout=POLL)
+            if self.version != version:
+                return None
+        self._whole = asyncio.ensure_future(
+            self.compute(self._find_picture, version, state, number, crop, settles, drafts)
+        )
+        self._whole.add_done_callback(_note_result)
+        while not self._whole.done():
+            await asyncio.wait({self._whole}, timeout=POLL)
+            if self.version != version and not drafts:
+                return None  # the thread goes on
+        return self._whole.result()
+
+    @property
+    def _is_busy(self):
+        """Whether a whole picture is being made."""
+        return self._whole is not None and not self._whole.done()
+
+    def _find_picture(self, version, state, *others):
+        """Return a picture of the settings, without a control's value that makes none. others: see `_encode`."""
         if self.held and self._tried != version:
             self._tried = version
-            values = {name: held.value for name, held in self.held.items()}
             whole = state
-            for name, value in values.items():
-                whole = whole.change(name, value)
+            for name, held in self.held.items():
+                whole = whole.change(name, held.value)
             try:
-                found = self._encode(whole, crop, settles)
+                found = self._encode(whole, *others)
             except GpusimError:
                 pass  # its reason stands beside the control
             else:
@@ -248,21 +288,43 @@ class Session:
                 self._take(state, whole)
                 return found
         try:
-            found = self._encode(state, crop, settles)
+            found = self._encode(state, *others)
         except GpusimError as error:
-            name, good = self._moved, self._good
-            if good is None or name not in CONTROLS or name not in state.changes:
+            found = self._find_without(version, state, error, *others)
+            if found is None:
                 raise
-            without = state.reset(name)
-            if name in good.changes:
-                without = without.change(name, good.changes[name])
-            found = self._encode(without, crop, settles)
-            self.held = {**self.held, name: Held(state.changes[name], str(error))}
-            self._tried = version
-            self._take(state, without)
             return found
         self._good = state
         return found
+
+    def _find_without(self, version, state, error, *others):
+        """Return a picture without the last changes, which are held; None if there is none."""
+        good, last = self._good, {self._moved} & CONTROLS.keys()
+        if good is None or not last or good.camera != state.camera:
+            return None
+        changed = {
+            name
+            for name in {**good.changes, **state.changes}
+            if good.changes.get(name) != state.changes.get(name)
+        }
+        for names in dict.fromkeys(map(frozenset, (last & changed, changed - last, changed))):
+            if not names:
+                continue
+            without = state
+            for name in names:
+                without = without.reset(name)
+                if name in good.changes:
+                    without = without.change(name, good.changes[name])
+            try:
+                found = self._encode(without, *others)
+            except GpusimError:
+                continue
+            values = {name: state.changes[name] for name in names if name in state.changes}
+            self.held = self.held | {name: Held(one, str(error)) for name, one in values.items()}
+            self._tried = version
+            self._take(state, without)
+            return found
+        return None
 
     def _take(self, state, other):
         """Put other settings in the place of `state`, if they are still the present ones."""
@@ -270,12 +332,18 @@ class Session:
         if self.state is state:
             self.history.replace(other)
 
-    def _encode(self, state, crop, settles):
-        import simplejpeg
+    def _encode_half(self, state, number):
+        shown = self.producer.half_picture(state, number)
+        return None if shown is None else (shown, JPEG, _jpeg(shown.codes))
 
-        shown, number = self.shown, self.number
+    def _encode(self, state, number, crop, settles, drafts):
+        shown, slider = self.shown, self._moved
         if not settles or shown is None or shown.facts.get("draft"):
-            shown = self._picture(state, number, crop, self._moves and not settles)
+            start = time.monotonic()
+            shown = self.producer.picture(state, number, drafts)
+            if drafts and slider:
+                is_slow = time.monotonic() - start > SLOW
+                self._slow[slider] = self._slow.get(slider, 0) + 1 if is_slow else 0
         codes = shown.codes
         if crop is not None:
             parts = np.split(codes, shown.count, axis=1)
@@ -285,17 +353,19 @@ class Session:
                 codes = np.concatenate([part[crop.part] for part in parts], axis=1)
         if settles or crop is not None:
             return shown, PNG, _png(codes)
-        return shown, JPEG, simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
+        return shown, JPEG, _jpeg(codes)
 
-    def _picture(self, state, number, crop, drafts):
-        """Return a picture; drafts of a slider whose drafts are slow have half the rows and columns."""
-        slider, start = self._moved, time.monotonic()
-        is_half = drafts and crop is None and self._slow.get(slider, 0) >= TIMES
-        shown = self.producer.picture(state, number, drafts=drafts, is_half=is_half)
-        if drafts and slider and not is_half:
-            is_slow = time.monotonic() - start > SLOW
-            self._slow[slider] = self._slow.get(slider, 0) + 1 if is_slow else 0
-        return shown
+
+def _note_result(task):
+    """Read the error of a task that nobody waits for any more: asyncio would report it."""
+    if not task.cancelled():
+        task.exception()
+
+
+def _jpeg(codes):
+    import simplejpeg
+
+    return simplejpeg.encode_jpeg(codes, QUALITY, "RGB", "420", fastdct=True)
 
 
 def _png(codes):
