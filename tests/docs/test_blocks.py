@@ -28,15 +28,14 @@ BLOCKS = {
 }
 # pages whose commands run; not `gpusim preview`, a server, and `gpusim video`, here of 300 frames: other tests run both
 FIRST = ["README", "start", "design", "train", "render", "report"]
-    "gpusim preview",
-    "gpusim video",
-)  # a server, and a video of 300 frames; other tests run both
+LINE = re.compile(r"^(?:pip install \. && )?(gpusim (?:simulate|plan|look|pairs) .*)$", re.M)
+QUOTED = re.compile(r"`(gpusim simulate [^`]* -o [^`]*)`")
 COMMANDS = [
     f"{page.stem}: {found}"
     for page in PAGES
     if page.stem in FIRST
-    for found in re.findall(r"^(?:pip install \. && )?(gpusim (?:simulate|plan|look|pairs) .*)$", page.read_text(), re.M)
-    + re.findall(r"`(gpusim simulate [^`]* -o [^`]*)`", page.read_text())
+    for pattern in (LINE, QUOTED)
+    for found in pattern.findall(page.read_text())
 ]
 NEEDS = {"mitsuba": "mitsuba", "h5py": "h5py", "gs.preview": "anywidget"}  # word -> package
 
