@@ -133,7 +133,7 @@ def camera_text(state: State) -> str:
         text = tomli_w.dumps(changed)
         if _table_of(text) == table:  # a mosaic, for example, changes other keys of its base
             return text
-    return tomli_w.dumps(table)
+    return state.toml()
 
 
 def _table_of(text):
