@@ -1,5 +1,8 @@
 """Visible differences of two pictures: CIEDE2000 of every pixel, and S-CIELAB."""
 
+import threading
+from importlib import import_module
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -11,6 +14,7 @@ from gpusim.domain.scene import Scene
 from gpusim.measure.ideal import ideal
 
 DIFFERENCES = ("cielab", "ciede2000")
+_LOADING = threading.Lock()
 
 # XYZ to luminance, red-green and blue-yellow, with the digits of the authors' program (the paper
 # rounds them).
@@ -144,9 +148,15 @@ def cielab(xyz, white) -> np.ndarray:
 
     white: XYZ, shape (3,). Source: CIE 15, by colour-science.
     """
-    from colour.models import XYZ_to_Lab, XYZ_to_xy
+    models = _load("colour.models")
+    xy = models.XYZ_to_xy(white)
+    return models.XYZ_to_Lab(np.asarray(xyz, np.float64) / white[1], xy)
 
-    return XYZ_to_Lab(np.asarray(xyz, np.float64) / white[1], XYZ_to_xy(white))
+
+def _load(name: str) -> ModuleType:
+    """Return a module of colour-science. Its parts import each other: one thread at a time imports them."""
+    with _LOADING:
+        return import_module(name)
 
 
 def xyz_and_white(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
@@ -192,6 +202,4 @@ def _difference(method, picture, reference, white):
     first, second = cielab(picture, white), cielab(reference, white)
     if method == "cielab":
         return np.sqrt(((first - second) ** 2).sum(-1))
-    from colour.difference import delta_E_CIE2000
-
-    return delta_E_CIE2000(first, second)
+    return _load("colour.difference").delta_E_CIE2000(first, second)

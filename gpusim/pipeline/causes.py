@@ -27,7 +27,7 @@ LAYERS = "give the scene as layers"
 # The errors that a frame's account adds up
 CAUSES = {
     "rounding": Cause("sums are computed in 32-bit floating point", FLOAT64),
-    "transforms": Cause("fourier transforms are computed in 32-bit floating point", FLOAT64),
+    "transforms": Cause("Fourier transforms are computed in 32-bit floating point", FLOAT64),
     "transfer tables": Cause("transfer functions of the lens are interpolated from tables"),
     "planes": Cause(
         "a few spectral planes and kernels stand for all wavelengths",
