@@ -79,7 +79,7 @@ class Session:
         self._waits: deque[float] = deque(maxlen=COUNTED)
         self.streams = 0  # websockets that show its pictures
         self.was_seen = False  # whether there has been one
-        self._whole: asyncio.Future | None = None  # a whole picture that is made, or was last
+        self._whole: asyncio.Future | None = None  # a whole picture that is made
         self._slow: dict[str, int] = {}  # slider -> slow drafts in a row
 
     @property
@@ -123,8 +123,8 @@ class Session:
 
     async def release(self) -> None:
         """Free the memory of its pictures. The next picture takes as long as the first one."""
-        self.shown = None
         await self.compute(self.producer.release)
+        self.shown = self._whole = None  # a picture, with its bytes
 
     @property
     def _moves(self) -> bool:
@@ -257,15 +257,18 @@ class Session:
             await asyncio.wait({self._whole}, timeout=POLL)
             if self.version != version:
                 return None
-        self._whole = asyncio.ensure_future(
+        task = asyncio.ensure_future(
             self.compute(self._find_picture, version, state, number, crop, settles, drafts)
         )
-        self._whole.add_done_callback(_note_result)
-        while not self._whole.done():
-            await asyncio.wait({self._whole}, timeout=POLL)
+        task.add_done_callback(_note_result)
+        self._whole = task
+        while not task.done():
+            await asyncio.wait({task}, timeout=POLL)
             if self.version != version and not drafts:
                 return None  # the thread goes on
-        return self._whole.result()
+        if self._whole is task:
+            self._whole = None
+        return task.result()
 
     @property
     def _is_busy(self):
