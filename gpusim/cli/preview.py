@@ -16,6 +16,8 @@ if TYPE_CHECKING:  # the command line starts without them
 # relative to the light, so that one plan serves all exposures and noise settings
 TOLERANCE = "1e-3"
 GRACE = 1  # [s] that requests in progress may take at the end
+# [s] without a sign of life after which a page is given up: a busy browser keeps its open panels
+PATIENCE = 10.0
 TEXTS = {"help": "a page on this machine: move a slider, see the picture change"}
 
 
@@ -130,6 +132,7 @@ def preview(request: PreviewRequest) -> int:
         title="gpusim",
         uvicorn_logging_level="critical",
         timeout_graceful_shutdown=GRACE,
+        reconnect_timeout=PATIENCE,
     )
     return 0
 

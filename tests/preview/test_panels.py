@@ -10,7 +10,7 @@ from scipy.special import j1
 
 import gpusim as gs
 from gpusim.apps.preview.figures import Bars, Image, Note, Table
-from gpusim.apps.preview.measures import NEAR, Where, clipped, mark_clipped
+from gpusim.apps.preview.measures import NEAR, Where, find_clipping, mark_clipping
 from gpusim.apps.preview.panels import PANELS
 from gpusim.apps.preview.panels_kept import Kept
 from gpusim.apps.preview.panels_lens import FREQUENCIES, system_mtf
@@ -373,16 +373,16 @@ def test_clipped_pixels():
     readout = Readout(sensor, "opencl")
     dark = readout.device.array(np.zeros((128, 128), np.float32))
     raw = readout.device.numpy(readout.draw(readout.chip_mean(dark, 1.0), 1.0))
-    bright, low = clipped(sensor, raw)
+    bright, low = find_clipping(sensor, raw)
     share = (1 + erf(0.25 / sqrt(2))) / 2
     assert low.mean() == pytest.approx(share, abs=4 * sqrt(share * (1 - share) / 128**2))
     assert not bright.any()
     values = np.array([[1022, 1023], [1, 0]])
-    bright, low = clipped(sensor, values)
+    bright, low = find_clipping(sensor, values)
     assert bright.tolist() == [[False, True], [False, False]] and low[1, 1] and low.sum() == 1
     stacked = np.stack([values, np.full((2, 2), 500)])
-    assert np.array_equal(clipped(sensor, stacked)[0], bright)
-    codes = mark_clipped(
+    assert np.array_equal(find_clipping(sensor, stacked)[0], bright)
+    codes = mark_clipping(
         np.full((16, 16, 3), 7, np.uint8), np.ones((16, 16), bool), np.zeros((16, 16), bool)
     )
     assert {tuple(one) for one in codes.reshape(-1, 3).tolist()} == {(7, 7, 7), (255, 40, 40)}

@@ -1,14 +1,18 @@
 """What is told beside the picture, against closed forms, and the part of it that is shown."""
 
 from dataclasses import replace
+from math import log, pi
+from types import SimpleNamespace
 
 import colour
 import numpy as np
 import pytest
+from scipy.special import erf
 
 import gpusim as gs
 from gpusim.apps.preview.crop import Crop, enlarge
-from gpusim.apps.preview.measures import SPAN, error_map
+from gpusim.apps.preview.measures import SPAN, Where, error_map
+from gpusim.apps.preview.panels_lens import edge_response
 from gpusim.apps.preview.producer import Producer
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Moving, Still
@@ -19,9 +23,26 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.motion import Motion
 from gpusim.measure.checker import Checker, checker_of
 from gpusim.measure.ideal import ideal
+from gpusim.measure.sfr import mtf50
 
 DISPLAY = DISPLAYS["srgb"]
 STATE = State("phone", {"sensor.exposure_time_ms": 20.0}, tolerance="exact", is_live=False)
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.5])
+def test_the_response_of_a_gaussian_edge(sigma):
+    """exp(-2 pi^2 sigma^2 f^2) is a half at sqrt(ln 2 / 2) / (pi sigma); the part alone is looked at."""
+    y, x = np.indices((90, 100))
+    distance = (x - 50 - (y - 45) * np.tan(np.radians(5))) * np.cos(np.radians(5))
+    grey = 0.4 + 0.3 * erf(distance / (sigma * 2**0.5))
+    linear = np.random.default_rng(1).random((120, 140, 3))
+    linear[20:110, 30:130] = grey[..., None]
+    shown = SimpleNamespace(arrays={"linear": linear})
+    found = edge_response(shown, Where((120, 140), None, (20, 30, 110, 130)))
+    assert mtf50(found) == pytest.approx((log(2) / 2) ** 0.5 / (pi * sigma), rel=0.02)
+    assert abs(np.degrees(found.angle)) == pytest.approx(5, abs=0.1)
+    with pytest.raises(BadData, match="sfr"):
+        edge_response(shown, Where((120, 140), None, (0, 0, 20, 30)))
 
 
 def test_the_difference_of_a_checkers_patches():

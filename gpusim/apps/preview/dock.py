@@ -233,7 +233,7 @@ class Dock:
         )
         inputs = partial(producer.inputs, frozenset(needs - {"irradiance"}), has_irradiance)
         try:
-            found, on_device = await self.session.compute(_timed, inputs)
+            found, on_device = await self.session.compute(_measure_time, inputs)
         except Exception as error:  # the picture also says it
             for card in cards:
                 card.show([], _explain(card.panel, error))
@@ -244,7 +244,7 @@ class Dock:
         quick = [card for card in cards if not card.panel.is_slow]
         work = partial(self._read, quick, found, where)
         loop = asyncio.get_running_loop()
-        (text, results), on_host = await loop.run_in_executor(HOST, _timed, work)
+        (text, results), on_host = await loop.run_in_executor(HOST, _measure_time, work)
         if not self._pixel.is_deleted:
             self._pixel.text = text
         for card, result in zip(quick, results, strict=True):
@@ -297,7 +297,7 @@ class _One:
     __hash__ = object.__hash__
 
 
-def _timed(work):
+def _measure_time(work):
     """Return the result of a function, and the time it took [s]."""
     start = time.perf_counter()
     return work(), time.perf_counter() - start

@@ -100,8 +100,8 @@ class Inputs:
         return self.operated.sensor
 
     @property
-    def merged(self) -> Rendering | None:
-        """The rendering of merged exposures, for `clipped`; None of one exposure."""
+    def merged_rendering(self) -> Rendering | None:
+        """The rendering of merged exposures, for `find_clipping`; None of one exposure."""
         return self.rendering if self.averaged is None else None
 
     def variance(self, electrons: Any) -> dict[str, Any]:
@@ -118,7 +118,7 @@ class Inputs:
         return noise_budget(self.sensor, electrons, self.seconds, **by)
 
 
-def clipped(
+def find_clipping(
     sensor: Sensor, raw: np.ndarray, rendering: Rendering | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return which pixels are saturated, and which are at digital number 0, bool (rows, cols).
@@ -138,7 +138,7 @@ def clipped(
     return np.any(bright, axis=layers), np.any(dark, axis=layers)
 
 
-def mark_clipped(codes: np.ndarray, bright: np.ndarray, dark: np.ndarray) -> np.ndarray:
+def mark_clipping(codes: np.ndarray, bright: np.ndarray, dark: np.ndarray) -> np.ndarray:
     """Return a picture with stripes on clipped pixels: red on saturated, blue on dark ones."""
     y, x = (np.arange(n) for n in codes.shape[:2])
     stripes = (y[:, None] + x) // STRIPE % 2 == 0

@@ -103,7 +103,7 @@ class Page:
             self._switch("measure", "edge", self._measure).tooltip(words)
             self._button("error map", "error map", self._errors.open)
             words = "stripes on clipped pixels: red saturated, blue at digital number 0"
-            self._switch("clipping", "clipping", self._mark_clipped).tooltip(words)
+            self._switch("clipping", "clipping", self._mark_clipping).tooltip(words)
             if self._is_moving:
                 self._icon("skip_previous", "frame before (,)", lambda: self._step(-1))
                 self._icon("skip_next", "next frame (.)", lambda: self._step(1))
@@ -219,7 +219,7 @@ class Page:
     def _live(self, is_live):
         self._set(is_live=is_live, frame=self.session.number)
 
-    def _mark_clipped(self, is_on):
+    def _mark_clipping(self, is_on):
         self._set(marks_clipped=is_on)
 
     def _measure(self, is_on):

@@ -4,7 +4,7 @@ import numpy as np
 
 from gpusim.apps.preview.curves import ACCENT, Axis, Chart, Line, Mark, channel_color
 from gpusim.apps.preview.figures import Note, Part, Table
-from gpusim.apps.preview.measures import Inputs, Where, clipped, decibels
+from gpusim.apps.preview.measures import Inputs, Where, decibels, find_clipping
 from gpusim.domain.errors import BadData
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.spectrum import energy_per_photon
@@ -114,10 +114,10 @@ def histogram(found: Inputs, where: Where, chosen, kept) -> list[Part]:
     x = Axis("raw value [DN]", float(edges[0]), float(max(edges[-1], full)))
     y = Axis("pixels [%]", LEAST_SHARE if is_log else 0.0, 100.0 if is_log else None, is_log)
     chart = Chart("histogram of raw values", x, y, lines, marks, ("[e⁻]", 1 / gain, dark))
-    return [chart, Note(describe_clipped(*clipped(sensor, raw, found.merged)))]
+    return [chart, Note(describe_clipping(*find_clipping(sensor, raw, found.merged_rendering)))]
 
 
-def describe_clipped(bright: np.ndarray, dark: np.ndarray) -> str:
+def describe_clipping(bright: np.ndarray, dark: np.ndarray) -> str:
     """Return the shares of clipped pixels in words."""
     return f"clipped: {bright.mean():.2%} saturated, {dark.mean():.2%} at 0 DN"
 

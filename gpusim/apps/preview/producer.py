@@ -13,8 +13,8 @@ import numpy as np
 from gpusim.apps.preview.comparison import compare
 from gpusim.apps.preview.half import HalfLoop
 from gpusim.apps.preview.looks import Made, Optics, Shown
-from gpusim.apps.preview.measures import Inputs, clipped, error_map, mark_clipped, on_host
-from gpusim.apps.preview.panels_light import describe_clipped
+from gpusim.apps.preview.measures import Inputs, error_map, find_clipping, mark_clipping, on_host
+from gpusim.apps.preview.panels_light import describe_clipping
 from gpusim.apps.preview.shelf import Shelf
 from gpusim.apps.preview.state import State
 from gpusim.apps.video.scenes import Scenes
@@ -189,7 +189,7 @@ class Producer:
         if not is_half:  # panels do not follow those
             self._made = made
         if state.marks_clipped:
-            codes, facts["clipped"] = _mark_clipped(codes, made)
+            codes, facts["clipped"] = _mark_clipping(codes, made)
         if others:
             codes = compare(codes, others, state.compare, state.split)
         count = 1 + len(others) if others and state.compare == "side by side" else 1
@@ -387,13 +387,13 @@ class Producer:
         return _grey(np.uint8(255 * shown + 0.5))
 
 
-def _mark_clipped(codes, made):
+def _mark_clipping(codes, made):
     """Return a picture with its clipped pixels marked, and their shares in words."""
     found = made.inputs(frozenset({"raw"}), {})
-    shares = clipped(found.sensor, found.arrays["raw"], found.merged)
+    shares = find_clipping(found.sensor, found.arrays["raw"], found.merged_rendering)
     if made.state.view in OF_FRAME:
-        codes = mark_clipped(codes, *shares)
-    return codes, describe_clipped(*shares)
+        codes = mark_clipping(codes, *shares)
+    return codes, describe_clipping(*shares)
 
 
 def _encode(light):
