@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.lazy import load_whole
 from gpusim.domain.scene import Scene
 from gpusim.measure.ideal import ideal
 
@@ -144,6 +145,7 @@ def cielab(xyz, white) -> np.ndarray:
 
     white: XYZ, shape (3,). Source: CIE 15, by colour-science.
     """
+    load_whole("colour")
     from colour.models import XYZ_to_Lab, XYZ_to_xy
 
     return XYZ_to_Lab(np.asarray(xyz, np.float64) / white[1], XYZ_to_xy(white))
@@ -192,6 +194,7 @@ def _difference(method, picture, reference, white):
     first, second = cielab(picture, white), cielab(reference, white)
     if method == "cielab":
         return np.sqrt(((first - second) ** 2).sum(-1))
+    load_whole("colour")
     from colour.difference import delta_E_CIE2000
 
     return delta_E_CIE2000(first, second)
