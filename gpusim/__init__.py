@@ -9,6 +9,7 @@ from functools import partial
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+import gpusim.kernels  # noqa: F401  it finds its parts by a path of its own, which threads must not meet half set
 from gpusim import pipeline
 from gpusim.domain import labels
 

@@ -1,6 +1,7 @@
 """Modules that are loaded at their first use, although a library imports them at its start."""
 
 import sys
+from importlib import import_module
 from importlib.util import LazyLoader, find_spec, module_from_spec
 
 
@@ -17,3 +18,16 @@ def load_at_use(name: str):
     spec.loader.exec_module(module)
     parent, _, own = name.rpartition(".")
     setattr(sys.modules[parent], own, module)
+
+
+def load_whole(name: str):
+    """Load a package before its parts are imported inside a function, which threads may do at once.
+
+    Python lets a thread import a part of a package that another thread is still loading. If the
+    parts import each other, as those of colour-science do, one thread then meets half of a module.
+    The import of the package itself waits for the other thread.
+
+    Args:
+        name: Name of the package, such as "colour".
+    """
+    import_module(name)

@@ -1,8 +1,5 @@
 """Visible differences of two pictures: CIEDE2000 of every pixel, and S-CIELAB."""
 
-import threading
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -10,11 +7,11 @@ from numpy.typing import ArrayLike
 
 from gpusim.domain.display import DISPLAYS
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.lazy import load_whole
 from gpusim.domain.scene import Scene
 from gpusim.measure.ideal import ideal
 
 DIFFERENCES = ("cielab", "ciede2000")
-_LOADING = threading.Lock()
 
 # XYZ to luminance, red-green and blue-yellow, with the digits of the authors' program (the paper
 # rounds them).
@@ -148,15 +145,10 @@ def cielab(xyz, white) -> np.ndarray:
 
     white: XYZ, shape (3,). Source: CIE 15, by colour-science.
     """
-    models = _load("colour.models")
-    xy = models.XYZ_to_xy(white)
-    return models.XYZ_to_Lab(np.asarray(xyz, np.float64) / white[1], xy)
+    load_whole("colour")
+    from colour.models import XYZ_to_Lab, XYZ_to_xy
 
-
-def _load(name: str) -> ModuleType:
-    """Return a module of colour-science. Its parts import each other: one thread at a time imports them."""
-    with _LOADING:
-        return import_module(name)
+    return XYZ_to_Lab(np.asarray(xyz, np.float64) / white[1], XYZ_to_xy(white))
 
 
 def xyz_and_white(picture, white=None) -> tuple[np.ndarray, np.ndarray]:
@@ -202,4 +194,7 @@ def _difference(method, picture, reference, white):
     first, second = cielab(picture, white), cielab(reference, white)
     if method == "cielab":
         return np.sqrt(((first - second) ** 2).sum(-1))
-    return _load("colour.difference").delta_E_CIE2000(first, second)
+    load_whole("colour")
+    from colour.difference import delta_E_CIE2000
+
+    return delta_E_CIE2000(first, second)

@@ -12,7 +12,7 @@ from PIL import Image
 
 import gpusim as gs
 from gpusim.apps.preview.controls import CONTROLS, LIGHTS
-from gpusim.apps.preview.notebook import Preview
+from gpusim.apps.preview.notebook import FILES, GIVEN, Preview
 from gpusim.apps.preview.overrides import Given, table_of
 from gpusim.apps.preview.producer import Picture
 from gpusim.apps.preview.state import State
@@ -180,6 +180,78 @@ def test_the_last_good_picture_stays(widget):
     assert widget.state.changes[F_NUMBER] == -1.0
     field.value = 4.0
     assert not np.array_equal(settled(widget), good) and not widget._error.value
+
+
+def test_noise_is_live(widget):
+    """Each picture has other noise; it stops with a picture without loss."""
+    settled(widget)
+    seen = []
+    widget.image.observe(lambda change: seen.append(change.new), "value")
+    widget.controls["is_live"].value = True
+    end = time.monotonic() + 60
+    while len(seen) < 6:
+        assert time.monotonic() < end
+        time.sleep(0.01)
+    assert len({*seen[1:]}) == len(seen) - 1 and widget.image.format == "jpeg"
+    widget.controls["is_live"].value = False
+    settled(widget)
+
+
+def test_a_pixel_is_read_out(widget):
+    """The mean electrons of the widget's own frame at this place."""
+    settled(widget)
+    row, column = widget.place
+    row.value, column.value = 40, 17
+    electrons = f"{widget.frame().mean[40, 17]:.4g} e-"
+    end = time.monotonic() + 60
+    while not ("row 40  column 17  " in widget._pixel.value and electrons in widget._pixel.value):
+        assert time.monotonic() < end, widget._pixel.value
+        time.sleep(0.01)
+
+
+def test_a_text_is_a_value_of_a_camera_file(widget):
+    """An empty one takes the change back; one that cannot be is refused in a line."""
+    first, field = settled(widget), widget.controls["sensor.cfa"]
+    was = field.value
+    field.value = '["GR", "BG"]'
+    assert widget.camera.sensor.cfa == ("GR", "BG")
+    assert not np.array_equal(settled(widget), first) and not widget._error.value
+    field.value = ""
+    assert field.value == was and np.array_equal(settled(widget), first)
+    field.value = "moon"
+    assert np.array_equal(settled(widget), first) and "moon" in widget._error.value
+
+
+def test_what_a_widget_saves(widget, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    widget.controls[EXPOSURE].switch.value = True
+    widget.controls[EXPOSURE].number.value = 12.5
+    for name in (*FILES, "mine.png"):
+        widget.file.value = name
+        widget._save_button.click()
+        assert widget._saved.value == f"{name} is written" and (tmp_path / name).stat().st_size
+    assert np.array_equal(np.load("frame.npz")["dn"], widget.frame().raw)
+    assert np.array_equal(np.asarray(Image.open("mine.png")), settled(widget))
+    assert gs.open_camera("camera.toml").sensor.exposure_time == 0.0125
+    assert "ms" in (tmp_path / "report.txt").read_text()
+    for name, words in (("frame.xyz", "unknown output format"), (".", "unknown output format")):
+        widget.file.value = name
+        widget._save_button.click()
+        assert words in widget._saved.value
+
+
+def test_a_chart_is_chosen_as_the_scene(widget):
+    first, scene, size = settled(widget), widget.controls["scene"], widget.controls["size"]
+    scene.value, size.value = "deadleaves", "80x50"
+    own = gs.open_scene("deadleaves", size=(80, 50))
+    frame = gs.Simulator(gs.open_camera("phone"), device="opencl", tolerance="1e-3")(own)
+    assert np.array_equal(settled(widget), frame.rgb)
+    size.value = "0x50"
+    assert "allowed is COLSxROWS" in widget._error.value and size.value == "80x50"
+    scene.value = GIVEN
+    assert np.array_equal(settled(widget), first) and size.value == ""
+    size.value = "80x50"
+    assert "choose one as the scene" in widget._error.value and size.value == ""
 
 
 def test_a_widget_that_is_closed_makes_no_more_pictures(faked):

@@ -6,34 +6,44 @@ import time
 from dataclasses import replace
 from functools import cache, partial
 from html import escape
-from math import isfinite, log10
 from os import PathLike
+from pathlib import Path
 from threading import Thread
+from typing import Any
 
 import ipywidgets
 from ipywidgets import HTML, Dropdown, HBox, Layout, VBox
 
-from gpusim.apps.preview.control import PLACES, Control
+from gpusim.apps.preview.control import as_text, parse
 from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, LUMINANCE, OWN, TOLERANCES, VIEWS
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
 from gpusim.apps.preview.measures import Where
+from gpusim.apps.preview.notebook_fields import Number
 from gpusim.apps.preview.overrides import Given, table_of
 from gpusim.apps.preview.panels_kept import Kept
-from gpusim.apps.preview.panels_light import histogram
+from gpusim.apps.preview.panels_light import describe_pixel, histogram
 from gpusim.apps.preview.producer import Producer
+from gpusim.apps.preview.recipes import CAMERA, SAVED
+from gpusim.apps.preview.scene_choice import DEFAULT_SIZE, SceneChoice, checked_size
 from gpusim.apps.preview.session import DEVICE, HEAD, JPEG, PNG, Session
 from gpusim.apps.preview.state import History, State
 from gpusim.apps.video.scenes import Still
 from gpusim.backends import open_device
 from gpusim.captures.capture import Capture
+from gpusim.data.charts import CHARTS
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import UnknownName
+from gpusim.domain.errors import GpusimError, OutOfRange, UnknownName
 from gpusim.domain.scene import checked_scene
+from gpusim.io.atomic import atomic_path
 from gpusim.io.camera.cameras import camera_table
+from gpusim.io.scene.option_texts import format_size
 from gpusim.io.scene.scenes import open_scene
 from gpusim.pipeline.frame import Frame
 
-HISTOGRAM_INTERVAL = 0.5  # [s] between histograms, while a slider is moved
+HISTOGRAM_INTERVAL = 0.5  # [s] between histograms, while a slider is moved or noise is live
+LIVE_PERIOD = 0.1  # [s] least time between pictures of live noise
+GIVEN = "the given one"  # scene
+FILES = (CAMERA, "report.txt", *(f"frame{suffix}" for suffix in SAVED))
 STYLE = {"description_width": "9em"}
 
 
@@ -54,15 +64,17 @@ def open_widget(
         table = camera_table(state.camera)[1]
         state.build()  # raises errors here
     device = open_device(device) if isinstance(device, str) else device
-    return Preview(Producer(Still(scene, 1), device, capture=capture), state, table)
+    return Preview(Producer(Still(scene, 1), device, LIVE_PERIOD, capture), state, table)
 
 
 class Preview(HBox):
     """A picture, and the controls that change it. `close` ends it.
 
     Attributes:
-        controls: Name -> field, of all of `CONTROLS` and of "view", "tolerance", "light",
-            "luminance", "seed" and "frame": a Number, or a widget with a `value`.
+        controls: Name -> field, of all of `CONTROLS` and of "view", "is_live", "tolerance", "scene",
+            "size", "light", "luminance", "seed" and "frame": a Number, or a widget with a `value`.
+        place: Fields of the row and the column of the pixel that is read out.
+        file: Field with the name of a file that `save` writes, one of FILES.
         image: An ipywidgets.Image: a JPEG while a control moves, then a PNG.
     """
 
@@ -70,6 +82,9 @@ class Preview(HBox):
         self.controls: dict = {}
         self.image = ipywidgets.Image(layout=Layout(width="100%", object_fit="contain"))
         self._producer, self._table, self._history = producer, table, History(state)
+        self._texts: dict[
+            str, tuple[Any, str]
+        ] = {}  # values of text controls, and how they are typed
         self._is_updating = False  # True while the settings change the controls
         self._requested_version = 0  # of the settings
         self._shown_version = -1
@@ -77,6 +92,7 @@ class Preview(HBox):
         self._error = HTML()
         self._description = HTML("the first picture is being made")
         self._histogram = HTML(layout=Layout(max_width="640px"))
+        self._pixel, self._saved = HTML(), HTML()
         super().__init__(
             [self._make_picture_column(), self._make_control_column()],
             layout=Layout(flex_flow="row wrap"),
@@ -102,9 +118,27 @@ class Preview(HBox):
         """
         return DEVICE.submit(self._producer.frame, self.state, self.state.frame).result()
 
+    def save(self, name: str | PathLike) -> None:
+        """Write the frame, its report or the camera to a file.
+
+        name: Its name: a suffix of `Frame.save`; .txt for the report; .toml for the camera. Raises
+        GpusimError.
+        """
+        path = Path(name)
+        if path.suffix == ".toml":
+            self.camera  # noqa: B018  raises if there is none
+            text = self.state.toml()
+        elif path.suffix == ".txt":
+            text = f"{self.frame().report}\n"
+        else:
+            self.frame().save(path)
+            return
+        with atomic_path(path) as temporary:
+            temporary.write_text(text)
+
     @property
     def is_settled(self) -> bool:
-        """Whether the picture or message belongs to the present settings, and is final."""
+        """Whether the picture or message belongs to the present settings, and is final if it stands still."""
         return self._shown_version == self._requested_version
 
     def close(self):
@@ -124,21 +158,47 @@ class Preview(HBox):
             steps.append(ipywidgets.Button(icon=name, tooltip=name, layout=Layout(width="3em")))
             steps[-1].on_click(partial(self._step, step))
         self._undo, self._redo = steps
-        top = [self.image, HBox([view, *steps])]
-        shown = [*top, self._error, self._description, self._histogram]
-        return VBox(shown, layout=Layout(flex="1 1 480px"))
+        live = self._add_field("is_live", ipywidgets.ToggleButton(description="live noise"))
+        top = [self.image, HBox([view, live, *steps], layout=Layout(flex_flow="row wrap"))]
+        shown = [*top, self._error, self._description, self._make_readout(), self._histogram]
+        return VBox([*shown, self._make_saving()], layout=Layout(flex="1 1 480px"))
+
+    def _make_readout(self):
+        """Return fields of a pixel's place, and its values."""
+        short = Layout(width="9em")
+        self.place = tuple(
+            ipywidgets.BoundedIntText(
+                max=10**6, description=name, layout=short, style={"description_width": "4em"}
+            )
+            for name in ("row", "column")
+        )
+        for field in self.place:
+            field.observe(lambda change: self._read_pixel(), "value")
+        return HBox([*self.place, self._pixel])
+
+    def _make_saving(self):
+        """Return the fields that write a file."""
+        self.file = ipywidgets.Combobox(value=FILES[0], options=FILES, ensure_option=False)
+        button = self._save_button = ipywidgets.Button(description="save", icon="save")
+        button.on_click(lambda _: self._save())
+        return HBox([self.file, button, self._saved], layout=Layout(flex_flow="row wrap"))
 
     def _make_control_column(self):
         groups = [
             VBox([self._make_field(control) for control in controls])
             for controls in GROUPS.values()
         ]
+        scene = self._add_choice("scene", "scene", (GIVEN, *CHARTS))
+        size = ipywidgets.Text(description="size", style=STYLE, continuous_update=False)
+        size = self._add_field("size", size)
         light = self._add_choice("light", "light", (OWN, *LIGHTS))
         luminance = self.controls["luminance"] = Number(
             LUMINANCE, True, partial(self._change_setting, "luminance")
         )
         accordion = ipywidgets.Accordion(
-            [*groups, VBox([light, luminance])], titles=(*GROUPS, "Light"), selected_index=0
+            [*groups, VBox([scene, size, light, luminance])],
+            titles=(*GROUPS, "Scene and light"),
+            selected_index=0,
         )
         numbers = [
             self._add_whole_number("seed", "noise seed"),
@@ -151,6 +211,15 @@ class Preview(HBox):
         """Return the widget of a control."""
         if control.choices:
             return self._add_choice(control.name, control.label, control.choices)
+        if control.is_text:
+            field = ipywidgets.Combobox(
+                options=control.suggested,
+                description=control.label,
+                tooltip=control.words,
+                style=STYLE,
+                continuous_update=False,
+            )
+            return self._add_field(control.name, field)
         number = Number(
             control, control.off is not None, partial(self._change_setting, control.name)
         )
@@ -179,10 +248,50 @@ class Preview(HBox):
         if name == "light" and value == OWN:
             value = None
         changes = {name: value}
+        if name in ("scene", "size"):
+            try:
+                changes = {"scene": self._choose_scene(name, value)}
+            except GpusimError as error:
+                self._error.value = _red(str(error))
+                self._update_controls()
+                return
         if name in CONTROLS:
-            changes = {"changes": self.state.changes | changes}
+            changes = {"changes": self._change_camera(CONTROLS[name], value)}
         self._history.set(replace(self.state, **changes), name if is_slid else "")
         self._request_picture()
+
+    def _change_camera(self, control, value):
+        """Return the changes of the camera with one more; an empty text takes it back."""
+        others = {key: one for key, one in self.state.changes.items() if key != control.name}
+        if control.is_text:
+            return others | ({control.name: parse(value)} if value else {})
+        if control.is_whole and isinstance(value, float) and value.is_integer():
+            value = int(value)
+        return others | {control.name: value}
+
+    def _choose_scene(self, name, value):
+        """Return the scene with another name or size. Raises OutOfRange."""
+        choice = self.state.scene
+        if name == "scene":
+            size = choice.size or DEFAULT_SIZE
+            return SceneChoice() if value == GIVEN else SceneChoice(value, size=size)
+        if choice.is_given:
+            raise OutOfRange("size", value, "for charts: choose one as the scene")
+        return replace(choice, size=checked_size(value))
+
+    def _save(self):
+        """Write the file of the field, and say so."""
+        name = self.file.value
+        try:
+            self.save(name)
+        except GpusimError as error:
+            self._saved.value = _red(str(error))
+        else:
+            self._saved.value = escape(f"{name} is written")
+
+    def _read_pixel(self):
+        if self._session.shown is not None:
+            asyncio.run_coroutine_threadsafe(self._update_measures(), _loop())
 
     def _step(self, step, _):
         if step():
@@ -201,11 +310,14 @@ class Preview(HBox):
         try:
             for name, field in self.controls.items():
                 control = CONTROLS.get(name)
-                value = state.value(control, self._table) if control else getattr(state, name)
+                value = state.value(control, self._table) if control else self._value(name)
                 if isinstance(field, Number):
                     field.show(value)
                     continue
-                value = OWN if name == "light" and value is None else value
+                if control and control.is_text:
+                    if name not in self._texts or self._texts[name][0] != value:
+                        self._texts[name] = value, as_text(value)  # takes 0.1 ms
+                    value = self._texts[name][1]
                 # one that the page does not offer
                 if isinstance(field, Dropdown) and value not in field.options:
                     field.options = (*field.options, value)
@@ -213,14 +325,22 @@ class Preview(HBox):
         finally:
             self._is_updating = False
 
+    def _value(self, name):
+        """Return what the field of a setting that is no camera's shows."""
+        scene = self.state.scene
+        if name == "scene":
+            return scene.name or GIVEN
+        if name == "size":
+            return format_size(scene.size) if scene.size else ""
+        value = getattr(self.state, name)
+        return OWN if name == "light" and value is None else value
+
     # output, in the thread of the session
 
     async def _show(self, version, kind, data):
         """Show the picture of a version of the settings, or the error."""
         session = self._session
-        self._error.value = (
-            f'<span style="color:#d33">{escape(session.error)}</span>' if session.error else ""
-        )
+        self._error.value = _red(session.error) if session.error else ""
         if data:
             with self.image.hold_sync():
                 self.image.format = "png" if kind == PNG else "jpeg"
@@ -233,78 +353,25 @@ class Preview(HBox):
             style = "white-space:pre-wrap;line-height:1.4"
             self._description.value = f'<pre style="{style}">{text}</pre>'
             if kind == PNG or time.monotonic() - self._histogram_time > HISTOGRAM_INTERVAL:
-                await self._update_histogram()
-        if kind == PNG or not data:
+                await self._update_measures()
+        if kind == PNG or not data or session.state.is_live:
             self._shown_version = version
 
-    async def _update_histogram(self):
+    async def _update_measures(self):
+        at = tuple(field.value for field in self.place)
         try:
-            found = await self._session.compute(self._producer.inputs, frozenset({"raw"}))
+            found = await self._session.compute(self._producer.inputs, frozenset({"raw", "mean"}))
         except Exception:
             return  # the next picture says it, also of a device that fails
-        where = Where(found.scene.shape)
+        where = Where(found.scene.shape, at)
         parts = histogram(found, where, {"scale": "log"}, Kept())
         self._histogram.value = "".join(part.html() for part in parts)
         self._histogram_time = time.monotonic()
+        self._pixel.value = escape(describe_pixel(found, where))
 
 
-class Number(HBox):
-    """A slider and a number field, which also takes values beyond the slider's ends.
-
-    Args:
-        control: Control.
-        has_switch: Whether a switch sets the control to its `off`.
-        on_change: Function that is called with a new value, and with True if the slider was moved.
-
-    Attributes:
-        slider: Slider between the ends of the control.
-        number: Field that also takes values beyond them.
-        switch: Checkbox, or None.
-    """
-
-    def __init__(self, control: Control, has_switch: bool, on_change):
-        self._control, ends = control, (control.low, control.high)
-        low, high = map(log10, ends) if control.is_log else ends
-        kind = ipywidgets.FloatLogSlider if control.is_log else ipywidgets.FloatSlider
-        # until there is a value
-        middle = 10 ** ((low + high) / 2) if control.is_log else (low + high) / 2
-        self.slider = kind(
-            middle,
-            min=low,
-            max=high,
-            step=(high - low) / PLACES,
-            readout=False,
-            layout=Layout(flex="1 1 6em", min_width="6em"),
-        )
-        self.number = ipywidgets.FloatText(middle, layout=Layout(width="6.5em"))
-        self.switch = None
-        if has_switch:
-            self.switch = ipywidgets.Checkbox(indent=False, layout=Layout(width="1.5em"))
-        unit = f" [{control.unit}]" if control.unit else ""
-        self.slider.observe(lambda change: on_change(float(f"{change.new:.4g}"), True), "value")
-        self.number.observe(
-            lambda change: on_change(change.new) if isfinite(change.new) else None, "value"
-        )
-        if self.switch:
-            self.switch.observe(
-                lambda change: on_change(self.number.value if change.new else control.off), "value"
-            )
-        label = ipywidgets.Label(control.label + unit, layout=Layout(width="10.5em"))
-        parts = [label, self.slider, self.number]
-        super().__init__([self.switch, *parts] if self.switch else parts)
-
-    def show(self, value):
-        """Show a value. A control that is off, or has no number, is greyed out."""
-        control = self._control
-        has_number = isinstance(value, int | float) and value != control.off
-        if has_number:
-            # not the moving slider: the value would arrive after it has moved on
-            if f"{value:.4g}" != f"{self.slider.value:.4g}":
-                self.slider.value = min(max(value, control.low), control.high)
-            self.number.value = value
-        self.slider.disabled = self.number.disabled = not has_number
-        if self.switch:
-            self.switch.value = has_number
+def _red(words):
+    return f'<span style="color:#d33">{escape(words)}</span>'
 
 
 class _Session(Session):

@@ -9,8 +9,10 @@ from urllib.parse import quote
 
 from gpusim.apps.preview.state import State
 from gpusim.io.camera.cameras import anchor_paths, camera_names, camera_table
+from gpusim.io.frame.frames import FORMATS
 
 CAMERA = "camera.toml"
+SAVED = tuple(suffix for suffix in FORMATS if suffix not in (".tiff", ".jpeg"))  # without synonyms
 
 
 @dataclass(frozen=True)

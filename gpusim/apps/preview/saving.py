@@ -11,6 +11,7 @@ from gpusim.apps.preview.canvas import mark
 from gpusim.apps.preview.receiver import notify_errors
 from gpusim.apps.preview.recipes import (
     CAMERA,
+    SAVED,
     Start,
     address_of,
     command_line,
@@ -21,9 +22,7 @@ from gpusim.apps.preview.session import Session
 from gpusim.domain.errors import GpusimError
 from gpusim.domain.scene import PANORAMA
 from gpusim.io.camera.cameras import camera_names
-from gpusim.io.frame.frames import FORMATS
 
-SAVED = tuple(suffix for suffix in FORMATS if suffix not in (".tiff", ".jpeg"))  # without synonyms
 ADDRESS = "return location.origin + location.pathname"
 
 

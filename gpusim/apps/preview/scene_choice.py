@@ -8,17 +8,19 @@ from pathlib import PurePath
 from typing import Any, NamedTuple
 
 from gpusim.data.charts import CHARTS
-from gpusim.domain.errors import BadData, format_value
+from gpusim.domain.errors import BadData, OutOfRange, format_value
 from gpusim.domain.scene import PANORAMA, PLANE
 from gpusim.io.scene.option_texts import (
     WAVELENGTHS,
     format_size,
     parse_band,
     parse_degrees,
+    parse_size,
     parse_wavelengths,
 )
 from gpusim.io.scene.readers import CHARTS_TAKE, READERS
 
+DEFAULT_SIZE = (768, 512)  # columns and rows of a chart [pixel]
 MOST_PIXELS = 2**25  # of a frame
 MOST_FILES, LONGEST_NAME, LONGEST_OPTION = 64, 120, 400  # of a scene; [character]
 SHA = re.compile(r"[0-9a-f]{64}")
@@ -196,3 +198,15 @@ def is_size(size: Any) -> bool:
         and all(type(length) is int and length > 0 for length in size)
         and size[0] * size[1] <= MOST_PIXELS
     )
+
+
+def checked_size(text: str) -> tuple[int, int]:
+    """Return columns and rows of a text COLSxROWS. Raises OutOfRange."""
+    try:
+        size = parse_size(text)
+    except ValueError:
+        size = (0, 0)
+    if not is_size(size):
+        most = f"{MOST_PIXELS / 1e6:.0f} million pixels"
+        raise OutOfRange("size", text, f"COLSxROWS of up to {most}, such as 1280x720")
+    return size

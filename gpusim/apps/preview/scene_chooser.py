@@ -11,23 +11,22 @@ from nicegui import run, ui
 from gpusim.apps.preview.canvas import mark
 from gpusim.apps.preview.receiver import build_receiver, take_all_drops
 from gpusim.apps.preview.scene_choice import (
-    MOST_PIXELS,
+    DEFAULT_SIZE,
     OPTIONS,
     SceneChoice,
-    is_size,
+    checked_size,
     parse_option,
 )
 from gpusim.apps.preview.session import Session
 from gpusim.apps.preview.uploads import ENVI_DATA, SCENES
 from gpusim.data.charts import CHARTS
-from gpusim.domain.errors import BadData, BadFile, GpusimError
+from gpusim.domain.errors import BadData, BadFile, GpusimError, OutOfRange
 from gpusim.domain.scene import PANORAMA
 from gpusim.io.scene.bands import SUFFIXES as BANDS
-from gpusim.io.scene.option_texts import format_size, parse_size
+from gpusim.io.scene.option_texts import format_size
 
 SIZES = ("320x240", "640x480", "768x512", "1280x720", "1920x1080")
 AS_STARTED = "as started"  # the scenes of the command line
-DEFAULT = (768, 512)
 
 
 class SceneChooser:
@@ -41,7 +40,7 @@ class SceneChooser:
     def __init__(self, session: Session, change: Callable[..., None]):
         self._session, self._change = session, change
         self._first = session.state.scene
-        self._size = self._first.size or DEFAULT  # of the next chart
+        self._size = self._first.size or DEFAULT_SIZE  # of the next chart
         # one that cannot be opened, and the scene that stayed
         self._tried: SceneChoice | None = None
         self._stayed = ""
@@ -112,11 +111,11 @@ class SceneChooser:
         self._sizes.visible = has_size
         if not has_size:
             return
-        text = format_size(choice.size or DEFAULT)
+        text = format_size(choice.size or DEFAULT_SIZE)
         if text not in self._sizes.options:
             self._sizes.set_options([*self._sizes.options, text])
         self._sizes.value = text
-        self._size = choice.size or DEFAULT
+        self._size = choice.size or DEFAULT_SIZE
 
     def _show_options(self, choice):
         """Show a field for each option that the scene takes."""
@@ -159,17 +158,11 @@ class SceneChooser:
         if text is None:
             return
         try:
-            size = parse_size(text)
-        except ValueError:
-            size = (0, 0)
-        if is_size(size):
-            await self.show(replace(self._choice, size=size))
-            return
-        most = f"{MOST_PIXELS / 1e6:.0f} million pixels"
-        self._error = f"size = {text}: allowed is COLSxROWS up to {most}, such as 1280x720"
-        self._sizes.set_options([one for one in self._sizes.options if one != text])
-        self._shown = ""
-        self.update()
+            await self.show(replace(self._choice, size=checked_size(text)))
+        except OutOfRange as error:
+            self._error, self._shown = str(error), ""
+            self._sizes.set_options([one for one in self._sizes.options if one != text])
+            self.update()
 
     async def _choose_option(self, name, text):
         options = {key: value for key, value in self._choice.options.items() if key != name}
