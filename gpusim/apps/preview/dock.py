@@ -45,6 +45,10 @@ picture.src = "data:image/svg+xml;charset=utf-8," + encodeURIComponent(%s);
 """
 
 
+class Content(ui.element, component="panel.js"):  # type: ignore[call-arg]  # without NiceGUI
+    """HTML that changes often, outside of Vue's rendering."""
+
+
 class Card:
     """A panel on the page. Attributes: parts: what it shows."""
 
@@ -78,7 +82,7 @@ class Card:
                         item = ui.menu_item(f"{name}.{suffix}", does)
                         item.props(mark(f"save {name}.{suffix}"))
                 self._button("close", f"close {title}", f"close {name}", self._on_close)
-            self._content: Any = ui.html("", sanitize=False).classes("w-full")
+            self._content: Any = Content().on("ready", self._send)
 
     def _build_choice(self, option, choices):
         name = f"{self.panel.name} {option}"
@@ -107,7 +111,11 @@ class Card:
         """Show other contents. html: of the parts, or the reason why there are none."""
         self.parts = parts
         if html != self._html and not self.element.is_deleted:
-            self._html = self._content.content = html
+            self._html = html
+            self._send()
+
+    def _send(self):
+        self._content.run_method("show", self._html)
 
     def _save_csv(self):
         ui.download.content(save_csv(self.parts), f"{self.panel.name}.csv")
