@@ -1,8 +1,5 @@
 """Measures of pictures, against closed forms, published numbers, colour-science and sums written out."""
 
-import importlib
-import threading
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +14,6 @@ from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.measure import (
     ciede2000,
     cpsnr,
-    difference,
     ideal,
     samples_per_degree,
     scielab,
@@ -454,27 +450,3 @@ BAD = np.full((8, 8, 3), np.nan)
 def test_refused(call, what):
     with pytest.raises(GpusimError, match=what):
         call()
-
-
-def test_threads_import_colour_science_one_after_the_other(monkeypatch):
-    """Two that import its parts at the same time find a partially initialised package."""
-    inside, most, start = [], [], threading.Barrier(2)
-
-    def slow(name):
-        inside.append(name)
-        most.append(len(inside))
-        time.sleep(0.05)
-        inside.pop()
-        return importlib.import_module(name)
-
-    def measure():
-        start.wait()
-        ciede2000(np.full((2, 2, 3), 0.2), np.full((2, 2, 3), 0.3))
-
-    monkeypatch.setattr(difference, "import_module", slow)
-    threads = [threading.Thread(target=measure) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert len(most) >= 4 and max(most) == 1
