@@ -93,6 +93,7 @@ def test_a_panel_that_has_nothing_to_show_says_why(chromium, tmp_path):
 @pytest.mark.slow
 def test_clipped_pixels_are_marked_and_counted(chromium, address):
     page = opened(chromium, address)
+    page.wait_for_timeout(1500)  # the box shows the metered time first
     newer(page, number(page, "sensor.exposure_time_ms", 1000))
     before = version(page)
     marked(page, "live").click()
