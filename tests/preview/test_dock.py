@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 from browsers import browser, marked, newer, opened, serving, version
-from test_page import number, still
+from test_page import number, shown, still
 
 from gpusim.apps.preview.panels import DEFAULTS, PANELS
 
@@ -93,19 +93,27 @@ def test_a_panel_that_has_nothing_to_show_says_why(chromium, tmp_path):
 @pytest.mark.slow
 def test_clipped_pixels_are_marked_and_counted(chromium, address):
     page = opened(chromium, address)
+    page.wait_for_timeout(1500)  # the box shows the metered time first
     newer(page, number(page, "sensor.exposure_time_ms", 1000))
     before = version(page)
     marked(page, "live").click()
     newer(page, before)
     plain = still(page)
+    before = version(page)
     marked(page, "clipping").click()
+    newer(page, before)
     clipped = marked(page, "clipped")
     clipped.filter(has_text="saturated").wait_for(timeout=10000)
     share = float(clipped.inner_text().split()[1].rstrip("%"))
-    red = (still(page) == (255, 40, 40)).all(axis=-1).mean()
+    page.wait_for_function("gpusimPainted.at(-1)[3] === 1")  # without loss
+    page.wait_for_timeout(400)
+    red = (shown(page) == (255, 40, 40)).all(axis=-1).mean()
     assert share > 20 and red == pytest.approx(share / 200, rel=0.1)  # half of them: stripes
+    before = version(page)
     marked(page, "clipping").click()
-    assert np.array_equal(still(page), plain)
+    newer(page, before)
+    page.wait_for_timeout(1000)
+    assert np.array_equal(shown(page), plain)
     assert clipped.inner_text() == "" and not page.errors
     page.close()
 
