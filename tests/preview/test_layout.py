@@ -51,7 +51,7 @@ def open_groups(page, names=tuple(GROUPS)):
         group = marked(page, f"group {name}")
         if not group.locator(".gp-row").first.is_visible():
             group.locator(".q-item").first.click()
-    page.wait_for_timeout(300)
+    page.wait_for_timeout(1000)  # they open in a movement
 
 
 @pytest.mark.parametrize("name", SIZES)

@@ -199,6 +199,7 @@ class Group:
 
     def __init__(self, name: str):
         self.name, self.fields = name, list[Field]()
+        self._was_open: bool | None = None  # before a search
         self.element = ui.expansion(name, value=name in OPEN)
         self.element.classes("w-full").props(f"dense {mark(f'group {name}')}")
 
@@ -208,5 +209,8 @@ class Group:
         for field, is_found in zip(self.fields, found, strict=True):
             field.row.visible = is_found
         self.element.visible = any(found) or not words
-        if words:
-            self.element.value = any(found)
+        if self._was_open is None:
+            self._was_open = self.element.value
+        self.element.value = any(found) if words else self._was_open
+        if not words:
+            self._was_open = None

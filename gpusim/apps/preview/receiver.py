@@ -40,6 +40,12 @@ def notify_errors():
         ui.notify(str(error), type="negative", multi_line=True, timeout=10000, close_button=True)
 
 
+# Quasar's button has no name of its own for screen readers
+NAME_BUTTONS = """
+for (const button of document.querySelectorAll(".q-uploader a.q-btn")) button.ariaLabel = "choose a file";
+"""
+
+
 def build_receiver(
     name: str,
     label: str,
@@ -81,6 +87,7 @@ def build_receiver(
     element.on("rejected", refuse, js_handler=REASONS)
     element.props(f'flat bordered accept="{",".join(suffixes)}"').props(mark(name))
     ui.add_css(STYLE)
+    ui.timer(0.5, lambda: ui.run_javascript(NAME_BUTTONS), once=True)
     return element.classes("w-full gpusim-receiver")
 
 
