@@ -25,6 +25,10 @@ document.body.ondrop = (event) => {
     getElement(ID).$refs.qRef.addFiles(event.dataTransfer.files);
 };
 """
+# Quasar's button has no name of its own for screen readers
+NAME_BUTTONS = """
+for (const button of document.querySelectorAll(".q-uploader a.q-btn")) button.ariaLabel = "choose a file";
+"""
 REFUSALS = {
     "max-file-size": f"allowed are {MIB} MiB; make it smaller",
     "max-total-size": f"allowed are {MIB} MiB at once; send fewer files",
@@ -38,12 +42,6 @@ def notify_errors():
         yield
     except GpusimError as error:
         ui.notify(str(error), type="negative", multi_line=True, timeout=10000, close_button=True)
-
-
-# Quasar's button has no name of its own for screen readers
-NAME_BUTTONS = """
-for (const button of document.querySelectorAll(".q-uploader a.q-btn")) button.ariaLabel = "choose a file";
-"""
 
 
 def build_receiver(
