@@ -25,9 +25,12 @@ document.body.ondrop = (event) => {
     getElement(ID).$refs.qRef.addFiles(event.dataTransfer.files);
 };
 """
-# Quasar's button has no name of its own for screen readers
+# Quasar's button contains the input of files, and neither has a name for screen readers
 NAME_BUTTONS = """
-for (const button of document.querySelectorAll(".q-uploader a.q-btn")) button.ariaLabel = "choose a file";
+for (const button of document.querySelectorAll(".q-uploader a.q-btn")) {
+    button.setAttribute("role", "group");
+    for (const one of [button, ...button.querySelectorAll("input")]) one.ariaLabel = "choose a file";
+}
 """
 REFUSALS = {
     "max-file-size": f"allowed are {MIB} MiB; make it smaller",

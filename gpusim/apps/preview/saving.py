@@ -39,7 +39,10 @@ class SaveMenu:
 
     def build(self) -> None:
         """Make the elements."""
-        with ui.button("Save", icon="save").props("dense").props(mark("save")), ui.menu():
+        with (
+            ui.button("Save", icon="save", color=None).props(f"dense flat no-caps {mark('save')}"),
+            ui.menu(),
+        ):
             self._build_item(CAMERA, "save camera", self._save_camera)
             for suffix in SAVED:
                 self._build_item(f"frame{suffix}", f"save {suffix}", partial(self._save, suffix))
