@@ -122,6 +122,7 @@ def test_menus_and_the_filmstrip_change_the_scene(chromium, address):
     wait_for_size(page, 640, 480)
     assert marked(page, "scene").locator("input").input_value() == "deadleaves"
     # the pointer finds the pixels of the new frame
+    page.wait_for_timeout(1000)  # the picture takes its shape
     box = marked(page, "overlay").bounding_box()
     page.mouse.move(box["x"] + 0.99 * box["width"], box["y"] + 0.99 * box["height"])
     marked(page, "pixel").filter(has_text="column 63").wait_for(timeout=10000)

@@ -79,7 +79,7 @@ class SaveMenu:
     async def _show(self):
         state, number = replace(self._session.state, frame=self._number), self._number
         start, shelf = self._start, self._session.producer.shelf
-        page = await ui.run_javascript(ADDRESS)
+        page = await ui.run_javascript(ADDRESS, timeout=10.0)
         try:
             choice = state.scene
             is_panorama = bool(choice.files) and shelf.open(choice).projection == PANORAMA
