@@ -7,7 +7,8 @@ from dataclasses import replace
 
 from mutations import pick
 
-from gpusim.apps.preview.controls import BEYOND, BEYOND_LOG, CONTROLS, LIGHTS, TOLERANCES, VIEWS
+from gpusim.apps.preview.control import BEYOND, BEYOND_LOG, parse
+from gpusim.apps.preview.controls import CONTROLS, LIGHTS, TOLERANCES, VIEWS
 from gpusim.apps.preview.recipes import command_line
 from gpusim.apps.preview.scene_choice import SceneChoice
 from gpusim.apps.preview.state import State
@@ -21,7 +22,8 @@ STATES = [
         {"processor.tone": "contrast", "optics.zernike_waves.7": 0.2},
         seed=3,
         frame=7,
-        against={"camera": "phone", "changes": {"noise.read_e": 3.0}},
+        snapshots={"B": {"camera": "phone", "changes": {"noise.read_e": 3.0}}},
+        against="B",
         split=0.25,
     ),
     State(
@@ -219,13 +221,19 @@ def fields(text: bytes, random) -> bytes:
         )
         part = pick(random, (0.0, 1.0, random.random(), random.random()))
         value = low * (high / low) ** part if control.is_log else low + (high - low) * part
-        values = [*control.choices] or [float(value)] * 6 + [
-            control.low,
-            control.high,
-            value * 1e3,
-            -1.0,
-            0.0,
-        ]
+        texts = [parse(word) for word in control.suggested] if control.is_text else []
+        values = (
+            [*control.choices]
+            or texts
+            or [float(value)] * 6
+            + [
+                control.low,
+                control.high,
+                value * 1e3,
+                -1.0,
+                0.0,
+            ]
+        )
         changes[control.name] = (
             control.off
             if control.off is not None and random.random() < 0.1
@@ -255,7 +263,7 @@ def _quick(state):
 def read_link(path):
     """What the page does with an address, but for its pictures."""
     state = State.of_link(path.read_text("utf-8", "replace"), "phone")
-    for one in (state, state.other or state):
+    for one in (state, *state.others):
         one.build()
         one.toml()
     return State.of_link(state.link(), "phone"), command_line(state, 7)

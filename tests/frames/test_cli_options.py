@@ -441,7 +441,7 @@ def record(monkeypatch):
     def mounted(producer, state, name, shape, title):
         made = producer()
         shown = list(made._scenes.between(0, min(made._scenes.count, 2)))
-        print(made._device.name, made.period, vars(state), name, shape, title, made.frames)
+        print(made.device.name, made.period, vars(state), name, shape, title, made.frames)
         print(made._capture, *(digest(scene) for scene in shown))
 
     monkeypatch.setattr(gpusim.apps.preview.page, "mount", mounted)

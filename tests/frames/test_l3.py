@@ -436,7 +436,6 @@ def test_command(tmp_path, capsys):
     assert open_camera(str(learned)).processor.table.provenance == read_table(out).provenance
     assert "RG/GB to RGB" in capsys.readouterr().out
     for wrong in (
-        ("--camera", "phone", "-o", tmp_path / "none" / "a.npz"),
         ("--camera", "phone", "-o", "a.txt"),
         ("--camera", "mono", "-o", out),
         ("--camera", "fone", "-o", out),

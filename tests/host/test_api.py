@@ -148,10 +148,10 @@ def test_an_empty_file_is_the_phone(tmp_path):
         and found.optics == PHONE.optics
         and found.sensor.noise == PHONE.sensor.noise
     )
-    with pytest.raises(
-        BadFile, match=r"\[optics\] lacks focal_length_mm"
-    ):  # a file that is begun is all of a camera
-        gs.open_camera(write(tmp_path / "begun.toml", "[optics]\nf_number = 2\n"))
+    begun = gs.open_camera(write(tmp_path / "begun.toml", "[optics]\nf_number = 2\n"))
+    assert begun.optics.f_number == 2 and begun.optics.focal_length == PHONE.optics.focal_length
+    with pytest.raises(BadFile, match=r"\[optics\] lacks focal_length_mm"):
+        gs.open_camera(write(tmp_path / "own.toml", 'base = "none"\n[optics]\nf_number = 2\n'))
 
 
 @pytest.mark.parametrize(

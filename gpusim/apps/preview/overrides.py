@@ -1,6 +1,6 @@
 """Settings of a camera that is an object, not a file."""
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -68,12 +68,9 @@ def _as_in_file(value, read):
         one = read(1.0)
         return float(f"{value / one:.12g}") if isinstance(one, float) else value
     if isinstance(value, Pupil):
-        turned = float(f"{np.degrees(value.rotation):.12g}")
-        return {
-            "blades": value.blades,
-            "obscuration": value.obscuration,
-            "rotation_deg": turned,
-        }
+        found = asdict(value)
+        turned = float(np.degrees(found.pop("rotation")))
+        return found | {"rotation_deg": float(f"{turned:.12g}")}
     if isinstance(value, AutoExposure):
         if value == AutoExposure():
             return None

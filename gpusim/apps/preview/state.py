@@ -191,6 +191,10 @@ class State:
             and isinstance(self.changes, dict)
             and self.changes.keys() <= {*CONTROLS}
             and not any(value is None for value in self.changes.values())
+            and not any(
+                isinstance(value, list | dict) and not CONTROLS[name].is_text
+                for name, value in self.changes.items()
+            )
             and (self.light is None or isinstance(self.light, str))
             and isinstance(self.files, dict)
             and all(is_file_name(name) and is_sha(sha) for name, sha in self.files.items())
