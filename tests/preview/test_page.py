@@ -1,7 +1,6 @@
 """The preview in a browser: sliders, pictures, what is saved, clients that misbehave."""
 
 import json
-import os
 import shlex
 import subprocess
 import sys
@@ -351,38 +350,6 @@ def test_clients_have_their_own_cameras(chromium, address):
     one.wait_for_function(f"gpusimPainted.at(-1)[0] > {before} + 500", timeout=20000)
     for page in (one, other, again):
         page.close()
-
-
-@pytest.mark.slow
-def test_the_pages_picture(chromium, tmp_path):
-    """What the README shows; PREVIEW_PICTURE=bench/preview.png keeps it there."""
-    with serving(
-        "colorchecker",
-        "--camera",
-        "phone",
-        "--size",
-        "960x640",
-        "--exposure",
-        "30ms",
-        "--device",
-        "opencl",
-        folder=tmp_path,
-    ) as (address, _):
-        page = opened(chromium, address)
-        keep(page)
-        newer(page, number(page, "sensor.exposure_time_ms", 12))
-        page.mouse.move(*pointed(page, 0.4, 0.7))
-        page.wait_for_function(
-            "document.querySelector('[data-mark=pixel]').innerText.includes('SNR')"
-        )
-        page.wait_for_timeout(2500)
-        path = os.environ.get("PREVIEW_PICTURE", str(tmp_path / "page.png"))
-        page.screenshot(path=path)
-        from PIL import Image
-
-        with Image.open(path) as found:
-            assert found.size == (1500, 1000)
-            assert np.asarray(found.convert("RGB")).std() > 20 and not page.errors
 
 
 def test_links_of_strangers_are_refused_in_a_line(chromium, address):
