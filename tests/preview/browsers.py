@@ -12,6 +12,8 @@ from urllib.request import urlopen
 
 import pytest
 
+SCENE = ["colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl"]
+
 
 def free_port() -> int:
     """A port that nobody listens at."""

@@ -4,24 +4,10 @@ import csv
 
 import numpy as np
 import pytest
-from browsers import browser, marked, newer, opened, serving, version
+from browsers import marked, newer, opened, serving, version
 from test_page import number, shown, still
 
 from gpusim.apps.preview.panels import DEFAULTS, PANELS
-
-SCENE = ["colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl"]
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory, chromium):
-    with serving(*SCENE, folder=tmp_path_factory.mktemp("dock")) as (found, _):
-        yield found
 
 
 def open_panels(page, *names):

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browsers import browser, marked, newer, opened, serving, version
-from test_page import SCENE, choose, keep, number
+from browsers import marked, newer, opened, serving, version
+from test_page import choose, keep, number
 
 from gpusim.apps.preview.controls import CONTROLS, GROUPS
 
@@ -32,18 +32,6 @@ IN_SIGHT = """async () => {
     }
     return [sliders.length, wrong, document.documentElement.scrollWidth];
 }"""
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory, chromium):
-    with serving(*SCENE, folder=tmp_path_factory.mktemp("preview")) as (found, _):
-        yield found
 
 
 def open_groups(page, names=tuple(GROUPS)):

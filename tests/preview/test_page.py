@@ -7,22 +7,7 @@ import sys
 from urllib.parse import quote
 
 import numpy as np
-import pytest
-from browsers import browser, marked, newer, opened, serving, version
-
-SCENE = ["colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl"]
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory, chromium):
-    with serving(*SCENE, folder=tmp_path_factory.mktemp("preview")) as (found, _):
-        yield found
+from browsers import SCENE, marked, newer, opened, serving, version
 
 
 def number(page, name, value):
@@ -115,6 +100,7 @@ def test_settings_that_cannot_be_keep_the_picture_and_say_why(chromium, address)
 def test_what_is_shown_is_what_the_saved_camera_makes(chromium, address, tmp_path):
     """Bit for bit in raw: the frame that stands still, its camera and the command line beside it."""
     page = opened(chromium, address)
+    open_group(page, "Aberrations")
     for name, value in (
         ("optics.f_number", 2.8),
         ("sensor.exposure_time_ms", 30),
@@ -201,12 +187,13 @@ def pointed(page, down, right):
 
 
 def still(page):
-    """The picture as it is without loss, when it stands still."""
-    before = page.evaluate("gpusimPainted.length")
+    """The picture as it is without loss, of newer settings than at the last call, when it stands still."""
+    seen = getattr(page, "seen", -1)
     page.wait_for_function(
-        f"gpusimPainted.length > {before} && gpusimPainted.at(-1)[3] === 1", timeout=20000
+        f"gpusimPainted.at(-1)[3] === 1 && gpusimPainted.at(-1)[2] > {seen}", timeout=20000
     )
     page.wait_for_timeout(400)
+    page.seen = version(page)
     return shown(page)
 
 

@@ -7,23 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-from browsers import browser, marked, newer, opened, serving, version
+from browsers import marked, newer, opened, version
 from PIL import Image
+from test_page import shown
 
-SCENE = ["colorchecker", "--camera", "phone", "--size", "320x200", "--device", "opencl"]
 LAMP = b"wavelength_nm,power\n400,1\n550,3\n700,2\n"
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with browser() as made:
-        yield made
-
-
-@pytest.fixture(scope="module")
-def address(tmp_path_factory, chromium):
-    with serving(*SCENE, folder=tmp_path_factory.mktemp("preview")) as (found, _):
-        yield found
 
 
 @pytest.fixture(scope="module")
@@ -84,17 +72,6 @@ def still(page):
     page.wait_for_function("gpusimPainted.at(-1)[3] === 1", timeout=20000)
     page.wait_for_timeout(300)
     return shown(page)
-
-
-def shown(page):
-    """Pixels of the canvas, (rows, cols, 3)."""
-    found = page.evaluate("""async () => {
-        const canvas = document.querySelector("canvas"), copy = document.createElement("canvas");
-        copy.width = canvas.width; copy.height = canvas.height;
-        const paper = copy.getContext("2d"); paper.drawImage(canvas, 0, 0);
-        return [copy.height, copy.width, ...paper.getImageData(0, 0, copy.width, copy.height).data];
-    }""")
-    return np.array(found[2:], np.uint8).reshape(found[0], found[1], 4)[..., :3]
 
 
 def show_links(page):

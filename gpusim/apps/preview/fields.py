@@ -134,6 +134,8 @@ class Field:
         """
         if self._shown == (value, is_changed, reason, metered):
             return
+        # of a number that is typed just now, only the camera's choice may change
+        is_typed = self._shown is not None and self._shown[:3] == (value, is_changed, reason)
         self._shown = value, is_changed, reason, metered
         self._is_showing = True
         try:
@@ -144,7 +146,7 @@ class Field:
             elif self.control.is_text:
                 self.input.value = _text_of(value)
             else:
-                self._show_number(value, metered)
+                self._show_number(value, metered, is_typed)
         finally:
             self._is_showing = False
 
@@ -159,7 +161,7 @@ class Field:
             self.input.props(f'label="{as_text(value)}"')
         self.input.value = place
 
-    def _show_number(self, value, metered):
+    def _show_number(self, value, metered, is_typed):
         control = self.control
         has_number = isinstance(value, int | float) and value != control.off
         at = value if has_number else metered
@@ -167,7 +169,8 @@ class Field:
             place = control.to_place(at)
             if self.slider.value != place:
                 self.slider.value = place
-        self.input.value = value if has_number else None
+        if not is_typed:
+            self.input.value = value if has_number else None
         self.input.props(f'placeholder="{self._words(value, metered)}"')
         if self.switch is not None:
             self.switch.value = has_number

@@ -64,8 +64,8 @@ class SceneChooser:
             self._sizes = ui.select(list(SIZES), label="size", new_value_mode="add-unique")
             self._sizes.classes("w-36").props(mark("size"))
             self._sizes.on_value_change(self._unless_updating(self._choose_size))
-        self._said = ui.label().classes("text-sm text-red-400").props(mark("scene error"))
-        self._wanted = ui.label().classes("text-sm text-amber-400 whitespace-pre-wrap break-all")
+        self._said = ui.label().classes("gp-wrong").props(mark("scene error"))
+        self._wanted = ui.label().classes("gp-busy whitespace-pre-wrap break-all")
         self._wanted.props(mark("wanted"))
         label = "drop a scene's file on the page, or choose it"
         take_all_drops(build_receiver("scene file", label, SCENES, self._session, self._take))

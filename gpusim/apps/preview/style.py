@@ -28,7 +28,7 @@ body { background: var(--gp-back); color: var(--gp-text); }
 }
 .gp-bar { display: flex; align-items: center; gap: 4px; overflow-x: auto; }
 .gp-title { font-size: 1rem; line-height: 1.3; font-weight: 500; flex-grow: 1; margin: 0; }
-body:not(.body--dark) .text-primary { color: #1565c0 !important; }
+body.body--light :is(.gp-page, .q-dialog, .q-menu) { --q-primary: #1565c0; }
 .q-tooltip { background: #222; color: #fff; }
 .gp-bar > * { flex-shrink: 0; }
 .gp-known { font: 12px/1.35 monospace; color: var(--gp-text); white-space: pre-wrap; overflow-wrap: anywhere; }
