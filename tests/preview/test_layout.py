@@ -199,13 +199,15 @@ def test_every_control_is_moved(chromium, address):
             page.locator(".q-menu .q-item").last.click()
         elif control.is_text:
             box = page.locator(f'input[data-mark="{name} text"]')
-            box.fill("[1.0, 1.0]" if not control.suggested else control.suggested[-1])
+            words = ["[1.0, 1.0]", *control.suggested]
+            box.fill(next(word for word in reversed(words) if word != box.input_value()))
             box.press("Enter")
         else:
             slider = marked(page, name).locator("[tabindex]").first
             slider.focus()
-            page.keyboard.press("PageUp")
-            page.keyboard.press("ArrowRight")
+            is_most = marked(page, name).get_attribute("aria-valuenow") == "1000"
+            page.keyboard.press("ArrowLeft" if is_most else "ArrowRight")
+            page.keyboard.press("PageDown" if is_most else "PageUp")
         try:
             newer(page, before)
         except Exception:
