@@ -82,6 +82,9 @@ class CompareBar:
 
             def keep():
                 word = (name.value or "").strip()[:40] or free
+                if word == NOTHING or word in self._session.state.snapshots:
+                    ui.notify(f"{word!r} is taken; choose another name", type="negative")
+                    return
                 dialog.close()
                 after = self._session.state.keep(word)
                 self._set(snapshots=after.snapshots, against=after.against)

@@ -157,6 +157,7 @@ class Field:
             if type(choice) is type(value) and choice == value
         )
         place = next(same, None)
+        self.input.props(remove="label")
         if place is None and value is not None:  # one of the file that the page does not offer
             self.input.props(f'label="{as_text(value)}"')
         self.input.value = place

@@ -193,7 +193,7 @@ class Page:
         self._update_controls(name)
 
     def _reset(self, name):
-        self.session.held.pop(name, None)
+        self.session.forget_held(name)
         if name in self.session.state.changes:
             self.session.set(self.session.state.reset(name))
         self._update_controls()

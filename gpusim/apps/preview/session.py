@@ -93,15 +93,19 @@ class Session:
         by: the control that was moved. Its movements are one step of the history, unless `is_step`.
         """
         self.history.set(state, "" if is_step else by)
-        self.held.pop(by, None)
+        self.forget_held(by)
         self._moved = by
         self.touch()
+
+    def forget_held(self, name: str):
+        """Forget the held value of a control. The thread that makes pictures may be reading the others."""
+        self.held = {one: held for one, held in self.held.items() if one != name}
 
     def step(self, step: Callable[[], bool]) -> bool:
         """Undo or redo: go a step of the history. Return whether there was one."""
         if not step():
             return False
-        self.held.clear()
+        self.held = {}
         self._moved = ""
         self.touch()
         return True
