@@ -89,10 +89,15 @@ class Producer:
         self.shelf = shelf or Shelf()
         self.frames = NUMBERS if scenes.is_still else scenes.count
         self._choosing = Lock()  # of camera and scene
-        self.release()
+        self._begin()
 
     def release(self) -> None:
-        """Forget all that pictures have in common. The next one takes as long as the first."""
+        """Forget all that pictures have in common, and open scenes. The next one takes as long as the first."""
+        self._begin()
+        self.shelf.forget_scenes()
+
+    def _begin(self):
+        """Have nothing in common with earlier pictures."""
         self._built: tuple[State | None, Camera | None] = None, None
         self._loop: Loop | None = None
         self._half = HalfLoop()

@@ -72,6 +72,14 @@ def build_receiver(
             await _receive(event.files, session, suffixes, take)
         element.reset()
 
+    # FastAPI keeps the element's route after the page has gone, and with it what the route refers to
+    receivers = [receive]
+    ui.context.client.on_delete(lambda: receivers.clear())
+
+    async def receive_while_open(event):
+        for receiver in receivers:
+            await receiver(event)
+
     def refuse(event):
         for reason, file in event.args:
             words = REFUSALS.get(reason, f"allowed are {', '.join(suffixes)}; convert it")
@@ -83,7 +91,7 @@ def build_receiver(
         auto_upload=True,
         max_file_size=MOST_BYTES,
         max_total_size=MOST_BYTES,
-        on_multi_upload=receive,
+        on_multi_upload=receive_while_open,
     )
     element.on("rejected", refuse, js_handler=REASONS)
     element.props(f'flat bordered accept="{",".join(suffixes)}"').props(mark(name))

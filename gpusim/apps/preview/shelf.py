@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from threading import Lock
+from weakref import WeakValueDictionary
 
 from gpusim.apps.preview.scene_choice import MOST_PIXELS, SceneChoice
 from gpusim.apps.preview.uploads import Uploads
@@ -12,6 +13,9 @@ from gpusim.io.scene.scenes import open_scene
 
 MOST_MEMORY = 2**31  # [byte] that a file or a chart may need while it is read
 MOST_OPEN, MOST_HELD = 8, 2**29  # open scenes, and their content [byte]
+
+# of all clients, by the keys of their choices, as long as one of them holds it
+CHARTS: WeakValueDictionary[str, Scene] = WeakValueDictionary()
 
 
 @dataclass(frozen=True)
@@ -56,11 +60,19 @@ class Shelf:
                     break
                 held -= self._open.pop(key).content.nbytes
 
+    def forget_scenes(self) -> None:
+        """Free the open scenes. They are opened again when they are shown."""
+        with self._lock:
+            self._open.clear()
+
     def _read(self, choice):
         arguments = choice.arguments()
         if not choice.files:
-            with limit_memory(MOST_MEMORY):
-                return open_scene(choice.name, **arguments)
+            scene = CHARTS.get(choice.key)
+            if scene is None:
+                with limit_memory(MOST_MEMORY):
+                    scene = CHARTS[choice.key] = open_scene(choice.name, **arguments)
+            return scene
         if choice.name in choice.files and len(choice.files) == 1:
             path = self.uploads.path(choice.name, choice.files[choice.name])
         else:
