@@ -55,8 +55,10 @@ class Repeat:
         self._values, self._version = values, values.version
         self._users = {name: values.dependents(name) for name in SCENE}
         by_frame = values.dependents(*FRAME)
-        changing = set().union(by_frame, *self._users.values())
         steps = values.steps.values()
+        needed = steps_needed(steps, [first, *exposed, last])
+        self._fixed = _find_fixed(values, needed)
+        changing = by_frame.union(*(self._users[name] for name in SCENE if name not in self._fixed))
         before, to_exposure = (
             {step.output for step in steps_needed(steps, names)} for names in ([first], exposed)
         )
@@ -65,7 +67,7 @@ class Repeat:
         self._rewritten: list[tuple[Cache, str]] = []
         self._host: list[Step] = []  # without commands: they pass on or upload arrays of the scene
         self._tapes: list[tuple[str, Tape]] = []
-        for step in steps_needed(steps, [first, *exposed, last]):
+        for step in needed:
             name = step.output
             self._known[name] = values.known(name)
             cache = values.cache_of(step)
@@ -76,8 +78,6 @@ class Repeat:
             if step.rate == Rate.CAMERA or tape is None or not tape.is_replayable:
                 raise NotRepeatable(name)
             if tape.commands:
-                if any(given in SCENE for given in step.inputs):
-                    raise NotRepeatable(name)  # it takes more of the scene than arrays
                 self._tapes.append((name, tape))
             elif name in by_frame:
                 raise NotRepeatable(name)
@@ -118,9 +118,11 @@ class Repeat:
 
     def begin(self, device: Device, scene: Mapping[str, Any]) -> bool:
         """Make the first value for other values of SCENE; False if the commands cannot serve them."""
-        self._expire()
         known = self._known
         changed = {name: value for name, value in scene.items() if value is not known[name]}
+        if not self._fixed.isdisjoint(changed):
+            return False
+        self._expire()
         touched = set().union(*[self._users[name] for name in changed])
         self._to_expose |= touched
         self._to_draw |= touched
@@ -187,3 +189,14 @@ class Repeat:
             return
         self._values.forget_all()
         self._written = [one for cache, name in self._rewritten for one in cache.expire(name)]
+
+
+def _find_fixed(values, steps) -> set[str]:
+    """Return the values of SCENE of which commands use more than arrays: they cannot be given another one."""
+    return {
+        given
+        for step in steps
+        if (tape := values.cache_of(step).tape_of(step.output)) is not None and tape.commands
+        for given in step.inputs
+        if given in SCENE
+    }

@@ -1,6 +1,7 @@
 """Sessions of pages that come and go, and what pages of others can do: nothing."""
 
 import asyncio
+from functools import partial
 
 import pytest
 
@@ -46,7 +47,7 @@ def test_streams_stay_whatever_others_ask_for(clock):
             sessions.of("")
             assert asyncio.run(sessions.release_left()) == []
         assert sessions.find(token) is own and own.holds_memory
-        assert len(sessions._known) <= module.UNSEEN + 2  # those that came in the last minute
+        assert len(sessions._known) <= 1 + module.MOST_UNSEEN
     clock[0] += module.LEFT - 1
     assert sessions.of(token) == (token, own)
     clock[0] += module.LEFT + 1
@@ -55,14 +56,20 @@ def test_streams_stay_whatever_others_ask_for(clock):
 
 
 def test_sessions_without_a_stream_are_few(clock):
-    """At one instant 1,000 come: the first that go have never had a stream."""
+    """At one instant 1,000 come: the first that go, with their pages, have never had a stream."""
     sessions = Sessions(Made, STATE)
     token, own = sessions.of("")
     with sessions.streaming(own):
         pass
+    forgotten = []
+    for number in range(1000):
+        sessions.of("")[1].pages["client"] = partial(forgotten.append, number)
+    assert len(sessions._known) == 1 + module.MOST_UNSEEN and sessions.find(token) is own
+    assert forgotten == [*range(1000 - module.MOST_UNSEEN)]
     for _ in range(1000):
-        sessions.of("")
-    assert len(sessions._known) == module.MOST_SESSIONS and sessions.find(token) is own
+        with sessions.streaming(sessions.of("")[1]):
+            pass
+    assert len(sessions._known) == module.MOST_SESSIONS and sessions.find(token) is None
 
 
 def test_memory_goes_after_the_page(clock):

@@ -372,6 +372,9 @@ def mount(made, first: State, title: str, shape: tuple[int, int], start: Start) 
         except GpusimError as error:
             ui.label(str(error)).classes("text-red-500")
             return
+        client = ui.context.client
+        session.pages[client.id] = client.delete
+        client.on_delete(lambda: session.pages.pop(client.id, None))
         Page(session, token, title, shape, start).build()
         ui.run_javascript(f"history.replaceState(null, '', '/?s={token}')")
 

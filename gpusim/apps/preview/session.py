@@ -59,6 +59,7 @@ class Session:
         error: Error of the last settings, or "".
         held: Name of a control -> its Held. The other settings go on without it, and it is tried
             again with each change of them.
+        pages: Functions that forget its pages, by names of these.
     """
 
     def __init__(self, producer: Producer, state: State):
@@ -79,6 +80,7 @@ class Session:
         self._waits: deque[float] = deque(maxlen=COUNTED)
         self.streams = 0  # websockets that show its pictures
         self.was_seen = False  # whether there has been one
+        self.pages: dict[str, Callable[[], object]] = {}
         self._whole: asyncio.Future | None = None  # a whole picture that is made
         self._slow: dict[str, int] = {}  # slider -> slow drafts in a row
 

@@ -17,6 +17,7 @@ LEFT = 600.0  # [s] that the settings of a session without a stream are kept
 UNSEEN = 60.0  # [s] likewise, of a session that has never had one
 MOST_STREAMS = 16  # each holds its scene on the device
 MOST_SESSIONS = 256  # with and without a stream; without one it is only settings
+MOST_UNSEEN = 2 * MOST_STREAMS  # sessions that have never had a stream; a page of one takes 4 MiB
 MOST_WAITING = 1  # sessions without a stream that keep their memory for AWAY
 FORGOTTEN = 12.0  # [s] after which NiceGUI has forgotten a page whose session was removed
 LOOK = 1.0  # [s] between looks for sessions that were left
@@ -57,9 +58,7 @@ class Sessions:
             reason = f"{MOST_STREAMS} pages of this preview are open"
             raise Conflict("this page", reason, "close one of them and load this page again")
         state = State.of_link(link, self._first.camera) if link else self._first
-        while len(self._known) >= MOST_SESSIONS:
-            idle = [name for name, session in self._known.items() if not session.streams]
-            del self._known[min(idle, key=self._order)]
+        self._make_room()
         token = secrets.token_urlsafe(16)
         self._known[token] = Session(self._made(), state)
         return token, self._known[token]
@@ -114,10 +113,18 @@ class Sessions:
             if not session.streams and not session.holds_memory and now - session.used > most:
                 old.append(name)
         for name in old:
-            del self._known[name]
+            self._remove(name)
         return old
 
-    def _order(self, name):
-        """Key of sessions without a stream: those that have never had one first, then by their age."""
-        session = self._known[name]
-        return session.was_seen, session.used
+    def _make_room(self):
+        """Remove sessions without a stream until there may be another one: first the oldest ones never seen."""
+        idle = [name for name, session in self._known.items() if not session.streams]
+        idle.sort(key=lambda name: (self._known[name].was_seen, self._known[name].used))
+        unseen = sum(not self._known[name].was_seen for name in idle)
+        for name in idle[: max(unseen - MOST_UNSEEN, len(self._known) - MOST_SESSIONS, -1) + 1]:
+            self._remove(name)
+
+    def _remove(self, name):
+        """Remove a session, and its pages of NiceGUI."""
+        for forget in [*self._known.pop(name).pages.values()]:
+            forget()
