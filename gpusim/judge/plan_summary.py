@@ -8,6 +8,7 @@ from gpusim.domain.account import Tolerance
 from gpusim.domain.scene import Scene
 from gpusim.judge.speeds import Speeds, frame_ms
 from gpusim.optics.lengths import Tiling
+from gpusim.pipeline.report_text import write_account
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.choices import Blur, Fusion, Planes
 from gpusim.planner.knobs.farfield import FarField
@@ -82,8 +83,9 @@ class Forecast:
     def __str__(self):
         plan, rows = self.plan, self.plan.scene.shape[0]
         lines = [
+            write_account(plan.account) if plan.verdict is None else f"tolerance {plan.verdict}",
             f"{plan.scene.name} {plan.scene.shape[1]}x{rows} by {plan.camera.name} on {self.device}: about "
-            f"{sum(self.ms.values()):.3g} ms a frame, {plan.bytes_needed / 2**20:.0f} MiB, predicted"
+            f"{sum(self.ms.values()):.3g} ms a frame, {plan.bytes_needed / 2**20:.0f} MiB, predicted",
         ]
         lines += [
             f"  {stage:22s} {self.ms.get(stage, 0.0):9.3f} ms  {plan.models.get(stage, '')}".rstrip()
@@ -93,8 +95,6 @@ class Forecast:
         lines += [f"  not modelled: {what}" for what in plan.left_out]
         lines += self._errors()
         lines += [f"  not in the total: {name} {value:.2g}" for name, value in plan.beside.items()]
-        if plan.verdict is not None:
-            lines.append(f"  tolerance: {plan.verdict}")
         for ms, option in self.front:
             _, _, value, _, unit = option.error.nearest(self._tolerance)
             chosen = (

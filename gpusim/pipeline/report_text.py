@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 from gpusim.pipeline.causes import BESIDE, CAUSES, Cause
 
 if TYPE_CHECKING:  # a report calls these functions
-    from gpusim.domain.account import Bound
+    from gpusim.domain.account import Account, Bound
     from gpusim.pipeline.report import Report
 
 SLOWEST = 3  # stages named in the line of the time
@@ -21,14 +21,7 @@ def write_verdict(report: "Report") -> str:
     """Return one line: whether the tolerance is met, with the figures."""
     tolerance = report.tolerance
     if tolerance is None:
-        bounds = report.account.bounds
-        known = {name: bound.rms for name, bound in bounds.items() if bound.is_known}
-        by = max(known, key=lambda name: known[name], default="")
-        words = f"no tolerance given: predicted error {report.account.total.rms:.2g} relative rms"
-        if by:
-            words += f", most of it {by}: {known[by]:.2g}"
-        unknown = report.account.unknown
-        return f"{words}; not known: {'; '.join(unknown)}" if unknown else words
+        return write_account(report.account)
     judged = report.judged_error
     predicted = "not judged: the plan is a draft"
     if report.verdict is not None:
@@ -38,6 +31,16 @@ def write_verdict(report: "Report") -> str:
     predicted = predicted.replace(", predicted", "")  # the line has the word
     state = "met" if judged.meets(tolerance) else "NOT met"
     return f"tolerance {state}: true error {judged.nearest(tolerance)[1]}; predicted {predicted}"
+
+
+def write_account(account: "Account") -> str:
+    """Return one line: the predicted error of a frame without a tolerance, and what is not known of it."""
+    known = {name: bound.rms for name, bound in account.bounds.items() if bound.is_known}
+    by = max(known, key=lambda name: known[name], default="")
+    words = f"no tolerance given: predicted error {account.total.rms:.2g} relative rms"
+    if by:
+        words += f", most of it {by}: {known[by]:.2g}"
+    return f"{words}; not known: {'; '.join(account.unknown)}" if account.unknown else words
 
 
 def write_heading(report: "Report") -> str:
