@@ -171,7 +171,7 @@ def sampling_error(
         error += part * (
             per_jump * channels.jumps[channel] + per_change * channels.changes[channel]
         )
-    return float(np.sqrt(error / (share @ channels.squares)))
+    return float(np.sqrt(max(error, 0.0) / (share @ channels.squares)))  # rounding below 0
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,6 +127,7 @@ def _account(plan, question, exposure_time, single, brightness):
         )
     if question.tolerance is not None:
         probes = spectral.probes_of(question, picture, operation)
+    is_declared = not question.is_blurred
     if form is None and question.is_blurred:
         assert probes is not None  # a blur is left out only for a tolerance
         afar = probes.even_error(picture.from_afar(question, SIDE / 2))
@@ -140,7 +141,7 @@ def _account(plan, question, exposure_time, single, brightness):
     if question.is_blurred:
         rounding = _blur(plan, question, picture, operation, probes, rounding, notes)
     else:
-        spectral.planes_without_blur(question, notes)
+        spectral.planes_without_blur(question, notes, is_declared)
     notes.bounds = rounding | notes.bounds
     _geometry(plan, placed, question, probes, notes)
     bounds = {name: bound for name, bound in notes.bounds.items() if bound != Bound()}

@@ -509,7 +509,7 @@ class _Seen:
 def _plain(question, blurred, fixed, notes):
     """Return the planes without blur. blurred: the question before a blur was left out, if one was."""
     notes.bounds |= fixed
-    way = spectral.planes_without_blur(question, notes)
+    way = spectral.planes_without_blur(question, notes, not blurred.is_blurred)
     if blurred.is_blurred:
         bound = notes.bounds.get("blur left out", Bound())  # of a dark scene it is none
         watch = spectral.watch_of_no_blur(blurred, bound)

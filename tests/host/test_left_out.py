@@ -202,6 +202,16 @@ def test_the_first_line_without_a_tolerance_says_the_border_error():
     assert str(with_one.report).startswith("tolerance met: ")
 
 
+def test_a_blur_that_is_left_out_is_not_the_camera_s_choice():
+    """The camera has a lens that blurs: its report names the blur's error, not a setting that it does not have."""
+    scene = gs.chart("slanted-edge", size=(96, 64))
+    for model, words in (("diffraction", "blur: relative rms"), ("none", "optics.model is")):
+        camera = gs.open_camera("mono").with_(model=model)
+        left = gs.Simulator(camera, device="numpy", tolerance=1e-1).plan(scene).left_out
+        [told] = [one for one in left if "blur" in one or "optics.model" in one]
+        assert words in told
+
+
 def test_plan_has_three_exit_statuses(tmp_path, capsys):
     camera = tmp_path / "calibrated.toml"
     camera.write_text('base = "phone"\n[optics]\ncalibration = "camera.yaml"\n')

@@ -44,4 +44,19 @@ def test_an_edge_is_selected_in_pixels_of_the_frame():
     mouse(made, "mousedown", 10.0, 50.0)
     mouse(made, "mousemove", 30.0, 20.0)
     assert made.edge == (slice(10, 31), slice(20, 51))
-    assert 'x="20.0" y="10.0" width="31.0" height="21.0"' in made._overlay.content
+    # in percent of a picture of 60 rows and 90 columns
+    assert 'x="22.222%" y="16.667%" width="34.444%" height="35.000%"' in made._overlay.content
+
+
+def test_the_rectangle_stands_on_each_picture_side_by_side():
+    made, _ = canvas()
+    made.measures, made._box = True, SimpleNamespace(style=lambda text: None)
+    mouse(made, "mousedown", 15.0, 0.0)
+    mouse(made, "mouseup", 29.0, 44.0)
+    made.follow(SHAPE, 2)
+    rectangles = made._overlay.content.split("<rect ")[1:]
+    size = 'y="25.000%" width="25.000%" height="25.000%"'
+    assert [one.split(" fill")[0] for one in rectangles] == [
+        f'x="0.000%" {size}',
+        f'x="50.000%" {size}',
+    ]

@@ -1,5 +1,7 @@
 """The preview in a browser: sliders, pictures, what is saved, clients that misbehave."""
 
+import base64
+import io
 import json
 import shlex
 import subprocess
@@ -8,6 +10,7 @@ from urllib.parse import quote
 
 import numpy as np
 from browsers import SCENE, marked, newer, opened, serving, version
+from PIL import Image
 
 
 def number(page, name, value):
@@ -51,10 +54,10 @@ def shown(page):
     found = page.evaluate("""async () => {
         const canvas = document.querySelector("canvas"), copy = document.createElement("canvas");
         copy.width = canvas.width; copy.height = canvas.height;
-        const paper = copy.getContext("2d"); paper.drawImage(canvas, 0, 0);
-        return [copy.height, copy.width, ...paper.getImageData(0, 0, copy.width, copy.height).data];
+        copy.getContext("2d").drawImage(canvas, 0, 0);
+        return copy.toDataURL("image/png").split(",")[1];
     }""")
-    return np.array(found[2:], np.uint8).reshape(found[0], found[1], 4)[..., :3]
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(found))).convert("RGB"))
 
 
 def test_a_slider_changes_the_picture_and_undo_takes_it_back(chromium, address):
@@ -123,8 +126,6 @@ def test_what_is_shown_is_what_the_saved_camera_makes(chromium, address, tmp_pat
         with page.expect_download(timeout=30000) as download:
             marked(page, entry).click()
         download.value.save_as(tmp_path / name)
-    from PIL import Image
-
     assert np.array_equal(np.asarray(Image.open(tmp_path / "shown.png")), still)
     marked(page, "save").click()
     marked(page, "show link").click()

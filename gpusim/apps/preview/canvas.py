@@ -46,6 +46,7 @@ class Canvas:
         self._count = 1  # pictures side by side
         self._aspect = shape[1] / shape[0]  # of all of them
         self._width = shape[1]  # of the picture on the screen [pixel]
+        self._names: tuple[tuple[str, ...], bool] = (), False
         self._held: tuple | None = None  # start of a drag: row, column of the canvas, and the crop
 
     @property
@@ -69,23 +70,37 @@ class Canvas:
                     .style("width: 100%; height: 100%")
                 )
                 self._overlay.on("wheel.prevent", self._on_wheel, ["deltaY"], throttle=0.1)
+            self._captions: Any = ui.element("div").classes("gp-captions").props(mark("captions"))
 
     def follow(self, shape: tuple[int, int], count: int) -> None:
         """Take frames of another shape, rows and columns, of which all is shown first.
 
         count: pictures side by side.
         """
+        is_new = count != self._count
         if shape != self._shape:
             self._shape, self.at, self.edge = shape, None, None
             self._overlay._props["size"] = shape[::-1]
             self._overlay.update()
             self._set_crop(None)
-            self._draw_edge()
+            is_new = True
         self._count = count
+        if is_new:
+            self._draw_edge()
         aspect = count * shape[1] / shape[0]
         if aspect != self._aspect:
             self._aspect = aspect
             self._box.style(f"--gp-aspect: {aspect:.6f}")
+
+    def name_pictures(self, names: tuple[str, ...], are_apart: bool) -> None:
+        """Write a name over each picture. are_apart: whether they are side by side."""
+        if (names, are_apart) == self._names:
+            return
+        self._names = names, are_apart
+        self._captions.clear()
+        with self._captions:
+            for name in names:
+                ui.label(name).style("flex: 1" if are_apart else "")
 
     def _on_wheel(self, event):
         self.zoom(1 if event.args["deltaY"] < 0 else -1)
@@ -151,15 +166,21 @@ class Canvas:
             self._draw_edge()
 
     def _draw_edge(self):
-        """Draw the rectangle of the measured edge on the canvas, in units of the whole frame."""
-        shown = ""
+        """Draw the rectangle of the measured edge on each picture, in percent of the canvas.
+
+        The browser keeps the units of the first frame's pixels when frames change their size.
+        """
+        shown = []
         if self.edge is not None:
             (y, high), (x, wide) = (
-                ((part.start - start) * n / own, (part.stop - part.start) * n / own)
-                for part, start, own, n in zip(self.edge, *self._window(), self._shape, strict=True)
+                (100 * (part.start - start) / own, 100 * (part.stop - part.start) / own)
+                for part, start, own in zip(self.edge, *self._window(), strict=True)
             )
-            shown = (
-                f'<rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" fill="none" '
-                f'stroke="#ffd54f" stroke-width="{max(1, self._shape[1] // 600)}"/>'
-            )
-        self._overlay.content = shown
+            count = self._count
+            shown = [
+                f'<rect x="{(100 * place + x) / count:.3f}%" y="{y:.3f}%" width="{wide / count:.3f}%" '
+                f'height="{high:.3f}%" fill="none" stroke="#ffd54f" stroke-width="2" '
+                'vector-effect="non-scaling-stroke"/>'
+                for place in range(count)
+            ]
+        self._overlay.content = "".join(shown)

@@ -7,7 +7,7 @@ from typing import Any
 from nicegui import ui
 
 from gpusim.apps.preview.canvas import mark
-from gpusim.apps.preview.comparison import list_differences
+from gpusim.apps.preview.comparison import OWN, list_differences
 from gpusim.apps.preview.control import PLACES
 from gpusim.apps.preview.session import Session
 from gpusim.apps.preview.state import COMPARISONS, MOST_SNAPSHOTS
@@ -23,10 +23,13 @@ class CompareBar:
     Args:
         session: Session of the client.
         set_state: Called with changed fields of the State.
+        on_turn: Called after another picture was shown by blinking.
     """
 
-    def __init__(self, session: Session, set_state: Callable[..., None]):
-        self._session, self._set = session, set_state
+    def __init__(
+        self, session: Session, set_state: Callable[..., None], on_turn: Callable[[], None]
+    ):
+        self._session, self._set, self._on_turn = session, set_state, on_turn
         with ui.element("div").classes("gp-bar"):
             self._button("keep", "keep this camera", "keep this camera, to compare others with it")
             self._against = self._choice("against", "compare with", [NOTHING], self._choose)
@@ -38,7 +41,10 @@ class CompareBar:
                 "w-40"
             )
             self._pair = [
-                self._button("swap", "swap", "go on with the other camera, and keep this one"),
+                self._button("take", "take", "go on with the snapshot's camera; snapshots stay"),
+                self._button(
+                    "swap", "swap", "go on with the snapshot's camera; its name is this one's then"
+                ),
                 self._button("drop", "drop", "remove the snapshot"),
                 self._button("differences", "differences", "settings in which the cameras differ"),
             ]
@@ -108,6 +114,11 @@ class CompareBar:
             kept = {"camera": state.camera, "changes": state.changes}
             self._set(**other, snapshots={**state.snapshots, state.against: kept})
 
+    def _take(self):
+        state = self._session.state
+        if state.against is not None:
+            self._set(**state.snapshots[state.against])
+
     def _drop(self):
         state = self._session.state
         if state.against is not None:
@@ -120,11 +131,12 @@ class CompareBar:
         if state.against is not None:
             session.history.replace(replace(state, split=float(state.split < 0.5)))
             session.touch()
+            self._on_turn()
 
     def _differences(self):
         state = self._session.state
         try:
-            names = ["this camera", *(name for name in state.snapshots)]
+            names = [OWN, *(name for name in state.snapshots)]
             states = [state, *(state.snapshot(name) for name in state.snapshots)]
             rows = list_differences(states)
         except GpusimError as error:

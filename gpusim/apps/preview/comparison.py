@@ -13,6 +13,7 @@ from gpusim.domain.errors import BadData
 from gpusim.io.camera.cameras import camera_table
 
 AMPLIFIED = 4  # differences of codes
+OWN = "this camera"  # in comparisons
 
 Codes = NDArray[np.uint8]
 
@@ -53,6 +54,17 @@ def compare(codes: Codes, others: Sequence[Codes], how: str, split: float) -> Co
     return joined
 
 
+def name_pictures(state: State) -> tuple[str, ...]:
+    """Return the name of each picture that is shown, from the left; none without a comparison."""
+    if state.against is None:
+        return ()
+    if state.compare == "blink":
+        return (state.against if state.split < 0.5 else OWN,)
+    if state.compare == "difference":
+        return (f"{OWN} minus {state.against}, times {AMPLIFIED}",)
+    return (OWN, *state.other_names)
+
+
 def list_differences(states: Sequence[State]) -> list[tuple[str, ...]]:
     """Return the settings in which states differ: a label with its unit, and each one's value."""
     rows = []
@@ -83,8 +95,10 @@ def describe_step(before: State, after: State) -> str:
     parts = {
         "light": after.light or "the scene's light",
         "luminance": after.luminance,
+        "scene": f"scene {' '.join(after.scene.words()) or 'as started'}",
         "tolerance": after.tolerance,
         "view": after.view,
+        "marks_clipped": f"clipping {'marked' if after.marks_clipped else 'not marked'}",
         "is_live": "live" if after.is_live else "still",
         "against": f"against {after.against}" if after.against else "no comparison",
         "compare": after.compare,

@@ -276,5 +276,5 @@ GROUPS: dict[str, tuple[Control, ...]] = {
     ),
 }
 # of the scene, not the camera
-LUMINANCE = Control("scene", "luminance", "white", 0.1, 1e5, "cd/m2", is_log=True)
+LUMINANCE = Control("scene", "luminance", "luminance of white", 0.1, 1e5, "cd/m2", is_log=True)
 CONTROLS = {control.name: control for group in GROUPS.values() for control in group}

@@ -199,22 +199,29 @@ def _text_of(value):
 
 
 class Group:
-    """A group of rows that can be folded."""
+    """A group of rows that can be folded.
 
-    def __init__(self, name: str):
+    Args:
+        name: Its title.
+        words: Other words by which a search finds the whole group.
+    """
+
+    def __init__(self, name: str, words: str = ""):
         self.name, self.fields = name, list[Field]()
+        self._words = f"{name} {words}".lower()
         self._was_open: bool | None = None  # before a search
         self.element = ui.expansion(name, value=name in OPEN)
         self.element.classes("w-full").props(f"dense {mark(f'group {name}')}")
 
     def search(self, words: str) -> None:
         """Show the rows that a search finds, and open the group if it finds some; all without words."""
-        found = [field.is_found(words) for field in self.fields]
-        for field, is_found in zip(self.fields, found, strict=True):
-            field.row.visible = is_found
-        self.element.visible = any(found) or not words
+        is_whole = all(word in self._words for word in words.lower().split())
+        for field in self.fields:
+            field.row.visible = is_whole or field.is_found(words)
+        is_found = is_whole or any(field.row.visible for field in self.fields)
+        self.element.visible = is_found
         if self._was_open is None:
             self._was_open = self.element.value
-        self.element.value = any(found) if words else self._was_open
+        self.element.value = is_found if words else self._was_open
         if not words:
             self._was_open = None

@@ -9,7 +9,7 @@ from nicegui import app, ui
 
 from gpusim.apps.preview.canvas import Canvas, mark
 from gpusim.apps.preview.compare_bar import CompareBar
-from gpusim.apps.preview.comparison import describe_step
+from gpusim.apps.preview.comparison import describe_step, name_pictures
 from gpusim.apps.preview.control import Control, as_text
 from gpusim.apps.preview.controls import CONTROLS, GROUPS, LUMINANCE, TOLERANCES, VIEWS
 from gpusim.apps.preview.dock import Dock
@@ -82,7 +82,7 @@ class Page:
     def _build_head(self):
         with ui.element("div").classes("gp-bar"):
             with ui.element("h1").classes("gp-title"):
-                ui.label(self._title)
+                self._heading = ui.label(self._title)
             self._icon("undo", "undo (Ctrl+Z)", self._undo)
             self._icon("redo", "redo (Ctrl+Y)", self._redo)
             self._icon("history", "steps, to go back to any of them", self._show_history)
@@ -109,7 +109,7 @@ class Page:
                 self._icon("skip_next", "next frame (.)", lambda: self._step(1))
                 last = self.session.producer.frames - 1
                 self._bar("frame", "frame", last, self._scrub, "w-60")
-        self._compare = CompareBar(self.session, self._set)
+        self._compare = CompareBar(self.session, self._set, self._name_pictures)
         for name, classes in (
             ("error", "gp-wrong"),
             ("busy", "gp-busy"),
@@ -129,17 +129,22 @@ class Page:
         search = ui.input(placeholder="search the controls", on_change=self._search)
         search.props(f'dense clearable {mark("search")} aria-label="search the controls"')
         search.classes("w-full")
-        with Group("Scene").element:
+        with self._group("Scene", "chart size file samples per pixel outside field of view").element:
             self._scene.build()
         for name, controls in GROUPS.items():
-            group = Group(name)
-            self._groups.append(group)
+            group = self._group(name)
             with group.element:
                 group.fields = [self._build_control(control) for control in controls]
-        with Group("Light").element:
+        group = self._group("Light", "illuminant temperature lamp file")
+        with group.element:
             self._light.build()
             reset = partial(self._set, luminance=None)
             self._luminance = Field(LUMINANCE, self._take_luminance, reset, "luminance")
+            group.fields = [self._luminance]
+
+    def _group(self, name, words=""):
+        self._groups.append(Group(name, words))
+        return self._groups[-1]
 
     def _build_control(self, control: Control):
         change, reset = partial(self._change, control.name), partial(self._reset, control.name)
@@ -301,6 +306,7 @@ class Page:
             self._elements["live"].value = state.is_live
             self._elements["clipping"].value = state.marks_clipped
             self._compare.show()
+            self._name_pictures()
             self._scene.update()
             self._light.update()
             if self._is_moving:
@@ -309,6 +315,15 @@ class Page:
             return  # of the camera's file; the picture says it
         finally:
             self._is_updating = False
+
+    def _name_pictures(self):
+        """Write the scene's name over the page, and on compared pictures the cameras'."""
+        state = self.session.state
+        title = state.scene.name or self._title
+        if self._heading.text != title:
+            self._heading.text = title
+            ui.page_title(f"gpusim: {title}")
+        self._canvas.name_pictures(name_pictures(state), state.compare == "side by side")
 
     def _show(self, name):
         """Show a control: its value, one that is not used with the reason, and what the camera chose."""

@@ -29,6 +29,11 @@ def mtf(found: Inputs, where: Where, chosen, kept) -> list[Part]:
         notes.append("the curves are of single pixels, before binning")
     elif where.part is None:
         notes.append("select a slanted edge with 'edge' for its response")
+    elif found.account is not None and "blur left out" in found.account.bounds:
+        notes.append(
+            "no response of the edge: the tolerance leaves the lens's blur out of this picture; "
+            "choose the tolerance 'exact' to measure it"
+        )
     else:
         try:
             edge = edge_response(found, where)

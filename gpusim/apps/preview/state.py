@@ -70,13 +70,17 @@ class State:
     marks_clipped: bool = False
 
     @property
-    def others(self) -> tuple["State", ...]:
-        """The states whose pictures are shown with this one: one, or up to MOST_BESIDE - 1 side by side."""
+    def other_names(self) -> tuple[str, ...]:
+        """Snapshots that are shown with this camera: one, or up to MOST_BESIDE - 1 side by side."""
         if self.against is None:
             return ()
-        names = [self.against, *(name for name in self.snapshots if name != self.against)]
-        shown = names[: MOST_BESIDE - 1] if self.compare == "side by side" else names[:1]
-        return tuple(map(self.snapshot, shown))
+        names = (self.against, *(name for name in self.snapshots if name != self.against))
+        return names[: MOST_BESIDE - 1] if self.compare == "side by side" else names[:1]
+
+    @property
+    def others(self) -> tuple["State", ...]:
+        """The states whose pictures are shown with this one."""
+        return tuple(map(self.snapshot, self.other_names))
 
     def keep(self, name: str) -> "State":
         """Return a state that keeps this camera as a snapshot, and compares with it."""

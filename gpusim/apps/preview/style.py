@@ -26,6 +26,11 @@ body { background: var(--gp-back); color: var(--gp-text); }
     position: relative; margin: 0 auto;
     width: min(100%, calc(var(--gp-high) * var(--gp-aspect, 1.5)));
 }
+.gp-captions {
+    position: absolute; inset: 0 0 auto; display: flex; justify-content: space-between; pointer-events: none;
+    font-size: 12px; color: #fff; text-shadow: 0 0 2px #000, 0 0 4px #000, 0 0 4px #000;
+}
+.gp-captions > * { padding: 2px 6px; overflow-wrap: anywhere; }
 .gp-bar { display: flex; align-items: center; gap: 4px; overflow-x: auto; }
 .gp-title { font-size: 1rem; line-height: 1.3; font-weight: 500; flex-grow: 1; margin: 0; }
 body.body--light :is(.gp-page, .q-dialog, .q-menu) { --q-primary: #1565c0; }

@@ -82,15 +82,19 @@ class Fused:
             )
 
 
-def planes_without_blur(question: Question, notes: Notes) -> Fused:
-    """Channels straight from the content."""
+def planes_without_blur(question: Question, notes: Notes, is_declared: bool) -> Fused:
+    """Return the planes of a frame without blur: channels straight from the content.
+
+    is_declared: Whether the camera has no blur; else a tolerance left it out, which is noted already.
+    """
     content, weights = question.content, question.weights
     spectra, nodes = content.entry_spectra, question.scene.wavelengths
     notes.models[_stage(content)] = (
         f"{content.form} of {len(spectra)} entries straight to {len(weights)} channels "
         "(no blur to apply)"
     )
-    notes.leave_out(question.lens.words, DECLARED)
+    if is_declared:
+        notes.leave_out(question.lens.words, DECLARED)
     return Fused(np.ones(len(nodes)), np.eye(len(weights)), (Planes(weights @ spectra.T),))
 
 
