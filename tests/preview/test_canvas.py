@@ -60,3 +60,12 @@ def test_the_rectangle_stands_on_each_picture_side_by_side():
         f'x="0.000%" {size}',
         f'x="50.000%" {size}',
     ]
+
+
+def test_a_click_picks_a_pixel_if_it_is_asked_to():
+    made, _ = canvas()
+    picked = []
+    made.on_pick = lambda *at: picked.append(at)
+    mouse(made, "mousedown", 30.2, 44.9)
+    mouse(made, "mouseup", 30.4, 44.6)
+    assert picked == [(30, 44)] and made.session.crop is None

@@ -4,6 +4,7 @@ import hashlib
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,9 @@ from browsers import marked, newer, opened, version
 from PIL import Image
 from test_page import shown
 
+import gpusim as gs
+
+NUMBER = 'input[data-mark="optics.object_distance_m number"]'
 LAMP = b"wavelength_nm,power\n400,1\n550,3\n700,2\n"
 
 
@@ -133,6 +137,34 @@ def test_files_are_dropped_sent_and_refused(chromium, address, photo, tmp_path):
     field.fill("400:700:100")
     field.press("Enter")
     wait_for_size(page, 30, 20)
+    assert not page.errors
+    page.close()
+
+
+@pytest.mark.slow
+def test_a_click_focuses_on_what_is_there(chromium, address, tmp_path):
+    """Left half a metre, right four metres: the focus is what was clicked on, and the picture follows."""
+    page = opened(chromium, address)
+    switch = marked(page, "pick focus")
+    assert not switch.is_visible()  # the scene has no depth
+    depth = np.full((120, 160), 4.0)
+    depth[:, :80] = 0.5
+    chart = gs.chart("deadleaves", size=(160, 120), wavelengths=[450, 550, 650])
+    gs.save_scene(replace(chart, depth=depth), tmp_path / "deep.npz")
+    send(page, "scene file", tmp_path / "deep.npz")
+    wait_for_size(page, 160, 120)
+    switch.wait_for()
+    switch.click()
+    box = marked(page, "overlay").bounding_box()
+    found = []
+    for part in (0.25, 0.75):
+        before = version(page)
+        page.mouse.click(box["x"] + part * box["width"], box["y"] + 0.5 * box["height"])
+        newer(page, before)
+        page.wait_for_timeout(1500)
+        found.append(float(page.locator(NUMBER).input_value()))
+        assert size(page) == [160, 120], "a click does not enlarge while it focuses"
+    assert found == [0.5, 4]
     assert not page.errors
     page.close()
 

@@ -93,6 +93,26 @@ def files(tmp_path_factory):
 KINDS = (".exr", ".npz", ".hdr", ".tif", ".npy", ".csv", ".png", ".jpg", ".h5", ".mat", "bands")
 
 
+def test_a_pixel_has_the_distance_of_what_it_sees():
+    """Left 1 m, right 4 m, a layer at half a metre in the middle; frames whose pixels are binned by two, too."""
+    chart, depth = gs.chart("flat", size=SIZE), np.full(SIZE[::-1], 4.0)
+    depth[:, : SIZE[0] // 2] = 1
+    near = np.zeros(SIZE[::-1])
+    near[:, SIZE[0] // 2 - 4 : SIZE[0] // 2 + 4] = 1
+    made = Producer(Still(replace(chart, depth=depth), 1), open_device("opencl"))
+    with pytest.raises(BadData, match="no depth"):
+        made.distance((0, 0))
+    own = replace(STATE, scene=SceneChoice())
+    made.picture(own, 0)
+    assert [made.distance((20, col)) for col in (2, SIZE[0] - 3)] == [1, 4]
+    layered = replace(chart, depth=depth, layers=(gs.Layer(chart.content, near, 0.5),))
+    made = Producer(Still(layered, 1), open_device("opencl"))
+    binned = replace(own, changes={"sensor.binning": [2, 2]})
+    rows, cols = made.picture(binned, 0).codes.shape[:2]
+    assert (cols, rows) == (SIZE[0] // 2, SIZE[1] // 2)
+    assert [made.distance((5, col)) for col in (1, cols // 2, cols - 2)] == [1, 0.5, 4]
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_files_of_every_still_format_are_scenes(kind, files, tmp_path):
     """What is sent is what `open_scene` reads from the same files in a folder of their own."""

@@ -1,5 +1,6 @@
 """The picture on the preview's page: zoom, dragging, and the rectangle of a measured edge."""
 
+from collections.abc import Callable
 from typing import Any
 
 from nicegui import ui
@@ -36,6 +37,7 @@ class Canvas:
         at: Row and column of the frame under the pointer, or None.
         edge: Rows and columns of the part whose edge is measured, or None.
         measures: Whether dragging selects an edge instead of moving the picture.
+        on_pick: Function of the row and column of a click, which then does not enlarge the picture; or None.
     """
 
     def __init__(self, session: Session, token: str, shape: tuple[int, int]):
@@ -43,6 +45,7 @@ class Canvas:
         self.at: tuple[int, int] | None = None
         self.edge: tuple[slice, slice] | None = None
         self.measures = False
+        self.on_pick: Callable[[int, int], object] | None = None
         self._count = 1  # pictures side by side
         self._aspect = shape[1] / shape[0]  # of all of them
         self._width = shape[1]  # of the picture on the screen [pixel]
@@ -125,6 +128,8 @@ class Canvas:
         if event.type == "mouseup":
             self._held = None
             if not self.measures and abs(y - place[0]) + abs(x - place[1]) < CLICK:
+                if self.on_pick is not None:
+                    return self.on_pick(row, col)
                 if self.session.crop is None:
                     self.zoom(1)
                 else:

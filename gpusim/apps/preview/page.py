@@ -18,6 +18,7 @@ from gpusim.apps.preview.fields import Field, Group
 from gpusim.apps.preview.filmstrip import Filmstrip
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
 from gpusim.apps.preview.light_chooser import LightChooser
+from gpusim.apps.preview.receiver import notify_errors
 from gpusim.apps.preview.recipes import Start
 from gpusim.apps.preview.saving import SaveMenu
 from gpusim.apps.preview.scene_chooser import SceneChooser
@@ -28,6 +29,7 @@ from gpusim.apps.preview.style import STYLE
 from gpusim.domain.errors import GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
 
+FOCUS = "optics.object_distance_m"
 PATIENT = 1.0  # [s] of a picture, after which the page says that it is being made
 
 
@@ -101,6 +103,8 @@ class Page:
             self._icon("fit_screen", "the whole picture (0)", self._canvas.fit)
             words = "drag over a slanted edge: its frequency response (ISO 12233)"
             self._switch("measure", "edge", self._measure).tooltip(words)
+            words = "click in the picture: the camera focuses on the distance there"
+            self._switch("pick focus", "focus", self._pick_focus).tooltip(words)
             self._button("error map", "error map", self._errors.open)
             words = "stripes on clipped pixels: red saturated, blue at digital number 0"
             self._switch("clipping", "clipping", self._mark_clipping).tooltip(words)
@@ -129,7 +133,9 @@ class Page:
         search = ui.input(placeholder="search the controls", on_change=self._search)
         search.props(f'dense clearable {mark("search")} aria-label="search the controls"')
         search.classes("w-full")
-        with self._group("Scene", "chart size file samples per pixel outside field of view").element:
+        with self._group(
+            "Scene", "chart size file samples per pixel outside field of view"
+        ).element:
             self._scene.build()
         for name, controls in GROUPS.items():
             group = self._group(name)
@@ -229,6 +235,14 @@ class Page:
 
     def _measure(self, is_on):
         self._canvas.measures = is_on
+
+    def _pick_focus(self, is_on):
+        self._canvas.on_pick = self._focus if is_on else None
+
+    async def _focus(self, row, col):
+        with notify_errors():
+            distance = await self.session.compute(self.session.producer.distance, (row, col))
+            self._change(FOCUS, float(f"{distance:.4g}"), True)
 
     def _step(self, step):
         self._set(is_live=False, frame=(self.session.number + step) % self.session.producer.frames)
@@ -359,6 +373,7 @@ class Page:
     def _show_facts(self, shown):
         session = self.session
         self._canvas.follow(shown.facts["shape"], shown.count)
+        self._elements["pick focus"].visible = shown.facts["has depth"]
         if self._is_moving and session.state.is_live:
             self._is_updating = True
             self._elements["frame"].value = shown.number

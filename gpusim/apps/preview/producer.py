@@ -27,6 +27,7 @@ from gpusim.domain.scene import PANORAMA
 from gpusim.io.scene.scenes import open_again, relight
 from gpusim.judge.truth import mean_and_truth, require_truth
 from gpusim.measure.mosaic import color_mosaic
+from gpusim.optics.labels import carry_labels
 from gpusim.optics.panorama import view_panorama
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.loop import Loop
@@ -189,6 +190,7 @@ class Producer:
             },
             "scene": state.scene.key,
             "shape": self._shape,
+            "has depth": loop.scene.depth is not None,
         }
         made = Made(state, loop, shown, None if plan.is_draft else account, tolerance)
         if not is_half:  # panels do not follow those
@@ -257,6 +259,24 @@ class Producer:
         else:
             self._optics.forget_irradiance()
         return self._made.inputs(needs, self._ms, irradiance)
+
+    def distance(self, pixel: tuple[int, int]) -> float:
+        """Return the distance along the axis that a pixel of the last whole picture sees [m].
+
+        Raises BadData if the scene has no depth, and as `carry_labels`.
+        """
+        made = self._made
+        if made is None or made.loop.scene.depth is None:
+            raise BadData(
+                "focus: the scene has no depth; wanted a scene with the distance of its samples"
+            )
+        loop = made.loop
+        depth = carry_labels(replace(loop.scene, labels={}), loop.simulator.camera)["depth"]
+        # of binned pixels, which the picture counts
+        row, col = (
+            at * n // own for at, n, own in zip(pixel, depth.shape, self._shape, strict=True)
+        )
+        return float(depth[row, col])
 
     def irradiance(self) -> None:
         """Compute the irradiance of the picture that was made last, for `inputs`.
