@@ -13,6 +13,7 @@ from PIL import Image
 import gpusim as gs
 from gpusim.apps.preview.controls import CONTROLS, LIGHTS
 from gpusim.apps.preview.notebook import FILES, GIVEN, Preview
+from gpusim.apps.preview.notebook_fields import Number
 from gpusim.apps.preview.overrides import Given, table_of
 from gpusim.apps.preview.producer import Picture
 from gpusim.apps.preview.state import State
@@ -43,6 +44,7 @@ class Fake:
             "verdict": "met",
             "unknown": (),
             "left out": (),
+            "metered": {EXPOSURE: 10.0},
         }
         return Picture(np.full((8, 8, 3), 100, np.uint8), number, 20.0, facts)
 
@@ -82,20 +84,30 @@ def test_a_slider_changes_the_picture_and_undo_takes_it_back(widget):
     exposure.number.value = 20.0
     bright = settled(widget)
     before = widget._histogram.value
-    exposure.slider.value = 5.0
+    dim = CONTROLS[EXPOSURE].to_place(5.0)
+    exposure.slider.value = dim
     dark = settled(widget)
     assert dark.mean() < 0.8 * bright.mean() and widget._histogram.value != before
-    assert exposure.number.value == 5.0 and widget.camera.sensor.exposure_time == 0.005
-    assert "exposure 5 ms" in widget._description.value and "(met)" in widget._description.value
+    time_ms = CONTROLS[EXPOSURE].to_value(dim)
+    assert 4.9 < time_ms < 5.1 and exposure.number.value == time_ms
+    assert widget.camera.sensor.exposure_time == time_ms / 1e3
+    assert (
+        f"exposure {time_ms:.4g} ms" in widget._description.value
+        and "(met)" in widget._description.value
+    )
     widget._undo.click()
     assert (
         np.array_equal(settled(widget), bright)
-        and exposure.number.value == exposure.slider.value == 20.0
+        and exposure.number.value == 20.0
+        and exposure.slider.value == CONTROLS[EXPOSURE].to_place(20.0)
     )
     widget._redo.click()
     assert np.array_equal(settled(widget), dark)
     exposure.switch.value = False
     assert np.array_equal(settled(widget), first) and exposure.slider.disabled
+    # the camera's own choice is shown, to four digits
+    assert exposure.number.value == float(f"{1e3 * widget.frame().exposure_time:.4g}")
+    assert widget.state.changes[EXPOSURE] == "auto"
 
 
 def test_what_settles_is_what_a_simulator_makes(widget):
@@ -140,28 +152,49 @@ def test_the_newest_settings_win(faked):
     """What is set while a picture is made is not made one after the other."""
     settled(faked)
     gain, before = faked.controls["sensor.analog_gain"], len(faked._producer.made)
-    for k in range(200):
-        gain.slider.value = 1 + k / 100
+    for place in range(200, 400):
+        gain.slider.value = place
     settled(faked)
     made = faked._producer.made
-    assert len(made) - before < 20 and made[-1].changes["sensor.analog_gain"] == 1 + 199 / 100
+    last = CONTROLS["sensor.analog_gain"].to_value(399)
+    assert len(made) - before < 20 and made[-1].changes["sensor.analog_gain"] == last > 1
     faked._undo.click()  # one slider's movements are one step
-    assert faked.state.changes == {} and gain.slider.value == 1.0
+    assert faked.state.changes == {} and gain.number.value == 1.0
 
 
 def test_a_slider_that_is_moved_is_sent_nothing(faked):
     """It would jump back to where it was."""
     control, sent = faked.controls[F_NUMBER], []
     control.slider.observe(lambda change: sent.append(change.new), "value")
-    control.slider.value = 3.00004
-    assert sent == [3.00004] and control.number.value == faked.state.changes[F_NUMBER] == 3.0
+    for place in (321, 322, 5, 999):
+        control.slider.value = place
+    assert sent == [321, 322, 5, 999]
+    assert control.number.value == faked.state.changes[F_NUMBER] == CONTROLS[F_NUMBER].to_value(999)
+
+
+def test_places_of_sliders():
+    """Each is a value of its own, and the value's place: a slider stays where it was put."""
+    for control in CONTROLS.values():
+        if not control.choices and not control.is_text:
+            values = [control.to_value(place) for place in range(control.places + 1)]
+            assert [control.to_place(value) for value in values] == [*range(len(values))]
+            assert not control.is_whole or all(isinstance(value, int) for value in values)
+
+
+def test_sliders_stand_on_whole_places(faked):
+    """A browser sends a slider back that stands between two steps; test_jupyterlab.py looks at it there."""
+    for name, field in faked.controls.items():
+        if isinstance(field, Number):
+            slider = field.slider
+            assert type(slider.value) is int and slider.step == 1 and slider.min == 0, name
+            assert slider.max == field._control.places, name
 
 
 def test_jpegs_while_a_slider_is_moved(faked):
     settled(faked)
     formats = []
     faked.image.observe(lambda change: formats.append(faked.image.format), "value")
-    faked.controls[F_NUMBER].slider.value = 4.0
+    faked.controls[F_NUMBER].slider.value = 400
     settled(faked)
     assert formats == ["jpeg", "png"]
 
@@ -258,7 +291,7 @@ def test_a_widget_that_is_closed_makes_no_more_pictures(faked):
     settled(faked)
     faked.close()
     made = len(faked._producer.made)
-    faked.controls[F_NUMBER].slider.value = 4.0
+    faked.controls[F_NUMBER].slider.value = 400
     time.sleep(0.3)
     assert len(faked._producer.made) == made
 
@@ -390,10 +423,13 @@ def test_a_kernel_runs_it():
         for k in range(100):
             content = {
                 "comm_id": said.text.strip(),
-                "data": {"method": "update", "state": {"value": 2 + k / 20}, "buffer_paths": []},
+                "data": {"method": "update", "state": {"value": 200 + k}, "buffer_paths": []},
             }
             client.kc.shell_channel.send(client.kc.session.msg("comm_msg", content))
-        assert client.execute_cell(notebook.cells[1], 1).outputs[0].text == "6.95 True png True\n"
+        last = CONTROLS[F_NUMBER].to_value(299)
+        assert (
+            client.execute_cell(notebook.cells[1], 1).outputs[0].text == f"{last} True png True\n"
+        )
     assert "application/vnd.jupyter.widget-view+json" in shown.data
     # what has come to the browser
     states = [

@@ -178,7 +178,7 @@ class Preview(HBox):
 
     def _make_saving(self):
         """Return the fields that write a file."""
-        self.file = ipywidgets.Combobox(value=FILES[0], options=FILES, ensure_option=False)
+        self.file = ipywidgets.Combobox(value=FILES[0], options=FILES, description="file")
         button = self._save_button = ipywidgets.Button(description="save", icon="save")
         button.on_click(lambda _: self._save())
         return HBox([self.file, button, self._saved], layout=Layout(flex_flow="row wrap"))
@@ -346,6 +346,8 @@ class Preview(HBox):
                 self.image.format = "png" if kind == PNG else "jpeg"
                 self.image.value = data[HEAD.size :]
             shown = session.shown
+            for name, value in shown.facts["metered"].items():
+                self.controls[name].show_metered(value)
             first = f"frame {shown.number}  made in {shown.ms:.0f} ms"
             text = escape(
                 "\n".join([first, describe_exposure(shown.facts), describe_plan(shown.facts)])
