@@ -4,6 +4,7 @@ import importlib.util
 import os
 import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,10 +16,10 @@ import gpusim as gs
 from gpusim.apps.preview.controls import CONTROLS
 
 pytestmark = pytest.mark.slow
-SCENE = gs.chart("colorchecker", size=(96, 64))
+SCENE = gs.chart("colorchecker", size=(240, 160))
 CELL = """\
 import gpusim as gs
-widget = gs.preview(gs.chart("colorchecker", size=(96, 64)), "phone", device="opencl")
+widget = gs.preview(gs.chart("colorchecker", size=(240, 160)), "phone", device="opencl")
 widget"""
 LAB = (
     "--no-browser --allow-root --IdentityProvider.token= "
@@ -58,7 +59,7 @@ def lab(tmp_path_factory):
         log.open("w") as output,
         running(command, f"{address}/api", cwd=folder, env=os.environ | places, stdout=output),
     ):
-        page = chromium.new_page(viewport={"width": 1500, "height": 1400})
+        page = chromium.new_page(viewport={"width": 1280, "height": 1150})
         page.set_default_timeout(60000)
         errors = []
         page.on("pageerror", lambda error: errors.append(str(error)))
@@ -120,9 +121,12 @@ def wait_for(page, wanted):
         page.wait_for_timeout(100)
 
 
-def row_of(page, label):
-    """The fields of a control."""
-    return page.locator(".widget-hbox").filter(has=page.get_by_text(label, exact=True)).last
+def row_of(page, label, section=None):
+    """The row of fields with a label, in a section of controls that is opened if it is not."""
+    row = page.locator(".widget-hbox").filter(has=page.get_by_text(label, exact=True)).last
+    if section and not row.is_visible():
+        page.locator(".jupyter-widget-Collapse-header").get_by_text(section, exact=True).click()
+    return row
 
 
 def undo(page):
@@ -139,8 +143,7 @@ def test_the_first_picture(lab):
 
 def test_a_slider_is_moved_by_keys(lab):
     page, control = lab.page, CONTROLS[F_NUMBER]
-    page.get_by_text("Lens", exact=True).click()
-    handle = row_of(page, "f-number").locator(".noUi-handle")
+    handle = row_of(page, "f-number", "Lens").locator(".noUi-handle")
     for _ in range(25):
         handle.press("ArrowRight")
     place = control.to_place(gs.open_camera("phone").optics.f_number) + 25
@@ -157,8 +160,7 @@ def test_a_slider_is_moved_by_keys(lab):
 def test_a_number_is_typed(lab):
     """One that cannot be is refused in a line, and the last picture stays."""
     page = lab.page
-    page.get_by_text("Exposure", exact=True).click()
-    field = row_of(page, "gain").locator("input")
+    field = row_of(page, "gain", "Exposure").locator("input")
     field.fill("2.5")
     field.press("Enter")
     bright = frame(**{"sensor.analog_gain": 2.5}).rgb
@@ -196,6 +198,29 @@ def test_a_pixel_is_read_out(lab):
     page.get_by_text(f"row 40 column 17 {letter} {made.mean[40, 17]:.4g} e-").wait_for()
 
 
+def test_a_panel_is_opened(lab):
+    """Those of the page are there; one that is opened shows the noise of the camera that is set."""
+    page = lab.page
+    page.get_by_role("button", name="Noise budget").click()
+    panel = page.locator(".widget-vbox").filter(has=page.locator("b", has_text="Noise budget")).last
+    panel.locator("svg").first.wait_for()
+    before = panel.inner_html()
+    spectrum = page.locator(".widget-vbox").filter(has=page.locator("b", has_text="Spectrum")).last
+    spectrum.locator("select").select_option("irradiance")
+    spectrum.get_by_text("irradiance [W m").wait_for()
+    spectrum.locator("select").select_option("radiance")
+    field = row_of(page, "read [e⁻]", "Noise").locator("input[type=number]")
+    field.fill("40")
+    field.press("Enter")
+    page.wait_for_function(
+        "([panel, before]) => panel.innerHTML !== before", arg=[panel.element_handle(), before]
+    )
+    undo(page)
+    wait_for(page, frame().rgb)
+    page.get_by_role("button", name="Noise budget").click()
+    panel.wait_for(state="detached")
+
+
 def test_files_are_saved_beside_the_notebook(lab):
     page = lab.page
     field = row_of(page, "file").locator("input")
@@ -207,3 +232,14 @@ def test_files_are_saved_beside_the_notebook(lab):
     assert np.array_equal(np.asarray(Image.open(lab.folder / "frame.png")), frame().rgb)
     assert gs.open_camera(lab.folder / "camera.toml").optics == gs.open_camera("phone").optics
     assert "ms" in (lab.folder / "report.txt").read_text()
+
+
+def test_picture_of_the_notebook(lab, tmp_path):
+    """What docs/preview.md shows; PREVIEW_PICTURES=docs/pictures keeps it there."""
+    folder = Path(os.environ.get("PREVIEW_PICTURES", tmp_path))
+    row_of(lab.page, "f-number", "Lens").wait_for()
+    lab.page.locator(".jp-CodeCell .cm-content").first.click()
+    lab.page.keyboard.press("Control+b")  # without the list of files
+    lab.page.add_style_tag(content=".Toastify { display: none }")  # JupyterLab's news
+    lab.page.wait_for_timeout(1000)
+    lab.page.screenshot(path=folder / "preview-jupyterlab.png")

@@ -15,6 +15,7 @@ from gpusim.apps.preview.controls import CONTROLS, LIGHTS
 from gpusim.apps.preview.notebook import FILES, GIVEN, Preview
 from gpusim.apps.preview.notebook_fields import Number
 from gpusim.apps.preview.overrides import Given, table_of
+from gpusim.apps.preview.panels import DEFAULTS, PANELS
 from gpusim.apps.preview.producer import Picture
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData, GpusimError
@@ -45,10 +46,11 @@ class Fake:
             "unknown": (),
             "left out": (),
             "metered": {EXPOSURE: 10.0},
+            "shape": (8, 8),
         }
         return Picture(np.full((8, 8, 3), 100, np.uint8), number, 20.0, facts)
 
-    def statistics(self, state):
+    def inputs(self, needs, has_irradiance):
         raise RuntimeError("the GPU has fallen off the bus")
 
 
@@ -60,6 +62,13 @@ def settled(widget):
         time.sleep(0.01)
     assert widget.image.format == "png"
     return np.asarray(Image.open(io.BytesIO(widget.image.value)))
+
+
+def wait_until(is_so):
+    end = time.monotonic() + 60
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -83,11 +92,14 @@ def test_a_slider_changes_the_picture_and_undo_takes_it_back(widget):
     exposure.switch.value = True  # it is automatic
     exposure.number.value = 20.0
     bright = settled(widget)
-    before = widget._histogram.value
+    histogram = widget.panels.opened["histogram"].content
+    wait_until(lambda: histogram.value)
+    before = histogram.value
     dim = CONTROLS[EXPOSURE].to_place(5.0)
     exposure.slider.value = dim
     dark = settled(widget)
-    assert dark.mean() < 0.8 * bright.mean() and widget._histogram.value != before
+    assert dark.mean() < 0.8 * bright.mean()
+    wait_until(lambda: histogram.value != before)
     time_ms = CONTROLS[EXPOSURE].to_value(dim)
     assert 4.9 < time_ms < 5.1 and exposure.number.value == time_ms
     assert widget.camera.sensor.exposure_time == time_ms / 1e3
@@ -233,13 +245,53 @@ def test_noise_is_live(widget):
 def test_a_pixel_is_read_out(widget):
     """The mean electrons of the widget's own frame at this place."""
     settled(widget)
-    row, column = widget.place
+    row, column = widget.panels.place
     row.value, column.value = 40, 17
     electrons = f"{widget.frame().mean[40, 17]:.4g} e-"
-    end = time.monotonic() + 60
-    while not ("row 40  column 17  " in widget._pixel.value and electrons in widget._pixel.value):
-        assert time.monotonic() < end, widget._pixel.value
-        time.sleep(0.01)
+    said = widget.panels.pixel
+    wait_until(lambda: "row 40  column 17  " in said.value and electrons in said.value)
+
+
+def test_panels_are_opened(widget):
+    """All of the page's, with their choices; each shows something, follows the picture, and is saved."""
+    panels = widget.panels
+    assert panels.switches.keys() == PANELS.keys() and panels.opened.keys() == {*DEFAULTS}
+    for name, switch in panels.switches.items():
+        switch.value = True
+        assert panels.opened[name].chosen.keys() == PANELS[name].options.keys()
+    settled(widget)
+    wait_until(lambda: all(one.content.value for one in panels.opened.values()))
+    for name, one in panels.opened.items():
+        assert "fails" not in one.content.value and one.content.value.count("<") > 1, name
+    shown = panels.opened["budget"].content.value
+    widget.controls["noise.read_e"].number.value = 40.0
+    wait_until(lambda: panels.opened["budget"].content.value != shown)
+    profile = panels.opened["profile"]
+    shown = profile.content.value
+    profile.choices["along"].value = "column"
+    wait_until(lambda: profile.content.value != shown)
+    panels.switches["psf"].value = False
+    assert "psf" not in panels.opened
+    with pytest.raises(GpusimError, match="unknown open panel 'psf'"):
+        widget.save("psf.csv")
+
+
+def test_a_panel_shows_the_irradiance(widget):
+    """It is computed once the picture stands still."""
+    settled(widget)
+    spectrum = widget.panels.opened["spectrum"]
+    spectrum.choices["quantity"].value = "irradiance"
+    wait_until(lambda: "irradiance [W m" in spectrum.content.value)
+
+
+def test_other_channels_are_offered(widget):
+    """Of a camera with other filters."""
+    settled(widget)
+    widget.panels.switches["psf"].value = True
+    channel = widget.panels.opened["psf"].choices["channel"]
+    wait_until(lambda: widget.panels.opened["psf"].content.value)
+    assert channel.options == ("G", "R", "B")
+    widget.controls["sensor.cfa"].value = '["RG", "GB"]'
 
 
 def test_a_text_is_a_value_of_a_camera_file(widget):
@@ -259,7 +311,8 @@ def test_what_a_widget_saves(widget, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     widget.controls[EXPOSURE].switch.value = True
     widget.controls[EXPOSURE].number.value = 12.5
-    for name in (*FILES, "mine.png"):
+    wait_until(lambda: widget.panels.opened["histogram"].parts)
+    for name in (*FILES, "mine.png", "histogram.csv", "histogram.svg"):
         widget.file.value = name
         widget._save_button.click()
         assert widget._saved.value == f"{name} is written" and (tmp_path / name).stat().st_size
@@ -267,7 +320,13 @@ def test_what_a_widget_saves(widget, tmp_path, monkeypatch):
     assert np.array_equal(np.asarray(Image.open("mine.png")), settled(widget))
     assert gs.open_camera("camera.toml").sensor.exposure_time == 0.0125
     assert "ms" in (tmp_path / "report.txt").read_text()
-    for name, words in (("frame.xyz", "unknown output format"), (".", "unknown output format")):
+    assert "</svg>" in (tmp_path / "histogram.svg").read_text()
+    assert len((tmp_path / "histogram.csv").read_text().splitlines()) > 10
+    for name, words in (
+        ("frame.xyz", "unknown output format"),
+        (".", "unknown output format"),
+        ("budget.csv", "unknown open panel"),
+    ):
         widget.file.value = name
         widget._save_button.click()
         assert words in widget._saved.value
