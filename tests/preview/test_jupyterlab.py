@@ -31,6 +31,7 @@ ELEMENT = f"document.querySelector('{PICTURE}')"
 PIXELS = f"""() => {{
   const picture = {ELEMENT}, canvas = document.createElement("canvas");
   canvas.width = picture.naturalWidth; canvas.height = picture.naturalHeight;
+  if (!canvas.width) return null;  // the next picture is being decoded
   const context = canvas.getContext("2d");
   context.drawImage(picture, 0, 0);
   return [canvas.height, [...context.getImageData(0, 0, canvas.width, canvas.height).data]];
@@ -109,7 +110,7 @@ def frame(**changes):
 
 def shown(page):
     """Pixels of the picture on the page, (rows, cols, 3)."""
-    rows, pixels = page.evaluate(PIXELS)
+    rows, pixels = page.wait_for_function(PIXELS).json_value()
     return np.array(pixels, np.uint8).reshape(rows, -1, 4)[..., :3]
 
 

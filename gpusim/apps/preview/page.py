@@ -129,7 +129,9 @@ class Page:
         search = ui.input(placeholder="search the controls", on_change=self._search)
         search.props(f'dense clearable {mark("search")} aria-label="search the controls"')
         search.classes("w-full")
-        with self._group("Scene", "chart size file samples per pixel outside field of view").element:
+        with self._group(
+            "Scene", "chart size file samples per pixel outside field of view"
+        ).element:
             self._scene.build()
         for name, controls in GROUPS.items():
             group = self._group(name)
