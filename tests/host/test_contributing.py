@@ -123,4 +123,11 @@ def test_every_dependency_has_a_lowest_version():
     optional = project["optional-dependencies"]
     wanted = project["dependencies"] + [one for name in extras.split() for one in optional[name]]
     assert {re.match(r"[\w.-]+", one)[0].lower() for one in wanted} == lowest
-    assert set(optional) - set(extras.split()) <= {"test", "docs", "bench", "ray", "optiland"}
+    assert set(optional) - set(extras.split()) <= {
+        "test",
+        "browser",
+        "docs",
+        "bench",
+        "ray",
+        "optiland",
+    }

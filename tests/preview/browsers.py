@@ -31,15 +31,16 @@ def serving(*arguments, folder=None):
         for name, value in os.environ.items()
         if not name.startswith(("PYTEST", "NICEGUI"))
     }
-    process = subprocess.Popen(
-        [sys.executable, "-m", "gpusim", "preview", *map(str, arguments), "--port", str(port)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env=own,
-        cwd=folder,
-    )
-    address = f"http://127.0.0.1:{port}"
+    command = [sys.executable, "-m", "gpusim", "preview", *map(str, arguments), "--port", str(port)]
+    with running(command, f"http://127.0.0.1:{port}", env=own, cwd=folder) as process:
+        yield f"http://127.0.0.1:{port}", process
+
+
+@contextmanager
+def running(command, address, **options):
+    """A process that serves an address. options: of Popen."""
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True} | options
+    process = subprocess.Popen(command, **options)
     try:
         for _ in range(600):
             if process.poll() is not None:
@@ -49,7 +50,7 @@ def serving(*arguments, folder=None):
                 break
             except (URLError, ConnectionError, TimeoutError):
                 time.sleep(0.1)
-        yield address, process
+        yield process
     finally:
         process.terminate()
         process.wait(20)

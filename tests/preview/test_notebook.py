@@ -13,7 +13,9 @@ from PIL import Image
 import gpusim as gs
 from gpusim.apps.preview.controls import CONTROLS, LIGHTS
 from gpusim.apps.preview.notebook import FILES, GIVEN, Preview
+from gpusim.apps.preview.notebook_fields import Number
 from gpusim.apps.preview.overrides import Given, table_of
+from gpusim.apps.preview.panels import DEFAULTS, PANELS
 from gpusim.apps.preview.producer import Picture
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData, GpusimError
@@ -43,10 +45,12 @@ class Fake:
             "verdict": "met",
             "unknown": (),
             "left out": (),
+            "metered": {EXPOSURE: 10.0},
+            "shape": (8, 8),
         }
         return Picture(np.full((8, 8, 3), 100, np.uint8), number, 20.0, facts)
 
-    def statistics(self, state):
+    def inputs(self, needs, has_irradiance):
         raise RuntimeError("the GPU has fallen off the bus")
 
 
@@ -58,6 +62,13 @@ def settled(widget):
         time.sleep(0.01)
     assert widget.image.format == "png"
     return np.asarray(Image.open(io.BytesIO(widget.image.value)))
+
+
+def wait_until(is_so):
+    end = time.monotonic() + 60
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 @pytest.fixture
@@ -81,21 +92,34 @@ def test_a_slider_changes_the_picture_and_undo_takes_it_back(widget):
     exposure.switch.value = True  # it is automatic
     exposure.number.value = 20.0
     bright = settled(widget)
-    before = widget._histogram.value
-    exposure.slider.value = 5.0
+    histogram = widget.panels.opened["histogram"].content
+    wait_until(lambda: histogram.value)
+    before = histogram.value
+    dim = CONTROLS[EXPOSURE].to_place(5.0)
+    exposure.slider.value = dim
     dark = settled(widget)
-    assert dark.mean() < 0.8 * bright.mean() and widget._histogram.value != before
-    assert exposure.number.value == 5.0 and widget.camera.sensor.exposure_time == 0.005
-    assert "exposure 5 ms" in widget._description.value and "(met)" in widget._description.value
+    assert dark.mean() < 0.8 * bright.mean()
+    wait_until(lambda: histogram.value != before)
+    time_ms = CONTROLS[EXPOSURE].to_value(dim)
+    assert 4.9 < time_ms < 5.1 and exposure.number.value == time_ms
+    assert widget.camera.sensor.exposure_time == time_ms / 1e3
+    assert (
+        f"exposure {time_ms:.4g} ms" in widget._description.value
+        and "(met)" in widget._description.value
+    )
     widget._undo.click()
     assert (
         np.array_equal(settled(widget), bright)
-        and exposure.number.value == exposure.slider.value == 20.0
+        and exposure.number.value == 20.0
+        and exposure.slider.value == CONTROLS[EXPOSURE].to_place(20.0)
     )
     widget._redo.click()
     assert np.array_equal(settled(widget), dark)
     exposure.switch.value = False
     assert np.array_equal(settled(widget), first) and exposure.slider.disabled
+    # the camera's own choice is shown, to four digits
+    assert exposure.number.value == float(f"{1e3 * widget.frame().exposure_time:.4g}")
+    assert widget.state.changes[EXPOSURE] == "auto"
 
 
 def test_what_settles_is_what_a_simulator_makes(widget):
@@ -140,28 +164,49 @@ def test_the_newest_settings_win(faked):
     """What is set while a picture is made is not made one after the other."""
     settled(faked)
     gain, before = faked.controls["sensor.analog_gain"], len(faked._producer.made)
-    for k in range(200):
-        gain.slider.value = 1 + k / 100
+    for place in range(200, 400):
+        gain.slider.value = place
     settled(faked)
     made = faked._producer.made
-    assert len(made) - before < 20 and made[-1].changes["sensor.analog_gain"] == 1 + 199 / 100
+    last = CONTROLS["sensor.analog_gain"].to_value(399)
+    assert len(made) - before < 20 and made[-1].changes["sensor.analog_gain"] == last > 1
     faked._undo.click()  # one slider's movements are one step
-    assert faked.state.changes == {} and gain.slider.value == 1.0
+    assert faked.state.changes == {} and gain.number.value == 1.0
 
 
 def test_a_slider_that_is_moved_is_sent_nothing(faked):
     """It would jump back to where it was."""
     control, sent = faked.controls[F_NUMBER], []
     control.slider.observe(lambda change: sent.append(change.new), "value")
-    control.slider.value = 3.00004
-    assert sent == [3.00004] and control.number.value == faked.state.changes[F_NUMBER] == 3.0
+    for place in (321, 322, 5, 999):
+        control.slider.value = place
+    assert sent == [321, 322, 5, 999]
+    assert control.number.value == faked.state.changes[F_NUMBER] == CONTROLS[F_NUMBER].to_value(999)
+
+
+def test_places_of_sliders():
+    """Each is a value of its own, and the value's place: a slider stays where it was put."""
+    for control in CONTROLS.values():
+        if not control.choices and not control.is_text:
+            values = [control.to_value(place) for place in range(control.places + 1)]
+            assert [control.to_place(value) for value in values] == [*range(len(values))]
+            assert not control.is_whole or all(isinstance(value, int) for value in values)
+
+
+def test_sliders_stand_on_whole_places(faked):
+    """A browser sends a slider back that stands between two steps; test_jupyterlab.py looks at it there."""
+    for name, field in faked.controls.items():
+        if isinstance(field, Number):
+            slider = field.slider
+            assert type(slider.value) is int and slider.step == 1 and slider.min == 0, name
+            assert slider.max == field._control.places, name
 
 
 def test_jpegs_while_a_slider_is_moved(faked):
     settled(faked)
     formats = []
     faked.image.observe(lambda change: formats.append(faked.image.format), "value")
-    faked.controls[F_NUMBER].slider.value = 4.0
+    faked.controls[F_NUMBER].slider.value = 400
     settled(faked)
     assert formats == ["jpeg", "png"]
 
@@ -200,13 +245,53 @@ def test_noise_is_live(widget):
 def test_a_pixel_is_read_out(widget):
     """The mean electrons of the widget's own frame at this place."""
     settled(widget)
-    row, column = widget.place
+    row, column = widget.panels.place
     row.value, column.value = 40, 17
     electrons = f"{widget.frame().mean[40, 17]:.4g} e-"
-    end = time.monotonic() + 60
-    while not ("row 40  column 17  " in widget._pixel.value and electrons in widget._pixel.value):
-        assert time.monotonic() < end, widget._pixel.value
-        time.sleep(0.01)
+    said = widget.panels.pixel
+    wait_until(lambda: "row 40  column 17  " in said.value and electrons in said.value)
+
+
+def test_panels_are_opened(widget):
+    """All of the page's, with their choices; each shows something, follows the picture, and is saved."""
+    panels = widget.panels
+    assert panels.switches.keys() == PANELS.keys() and panels.opened.keys() == {*DEFAULTS}
+    for name, switch in panels.switches.items():
+        switch.value = True
+        assert panels.opened[name].chosen.keys() == PANELS[name].options.keys()
+    settled(widget)
+    wait_until(lambda: all(one.content.value for one in panels.opened.values()))
+    for name, one in panels.opened.items():
+        assert "fails" not in one.content.value and one.content.value.count("<") > 1, name
+    shown = panels.opened["budget"].content.value
+    widget.controls["noise.read_e"].number.value = 40.0
+    wait_until(lambda: panels.opened["budget"].content.value != shown)
+    profile = panels.opened["profile"]
+    shown = profile.content.value
+    profile.choices["along"].value = "column"
+    wait_until(lambda: profile.content.value != shown)
+    panels.switches["psf"].value = False
+    assert "psf" not in panels.opened
+    with pytest.raises(GpusimError, match="unknown open panel 'psf'"):
+        widget.save("psf.csv")
+
+
+def test_a_panel_shows_the_irradiance(widget):
+    """It is computed once the picture stands still."""
+    settled(widget)
+    spectrum = widget.panels.opened["spectrum"]
+    spectrum.choices["quantity"].value = "irradiance"
+    wait_until(lambda: "irradiance [W m" in spectrum.content.value)
+
+
+def test_other_channels_are_offered(widget):
+    """Of a camera with other filters."""
+    settled(widget)
+    widget.panels.switches["psf"].value = True
+    channel = widget.panels.opened["psf"].choices["channel"]
+    wait_until(lambda: widget.panels.opened["psf"].content.value)
+    assert channel.options == ("G", "R", "B")
+    widget.controls["sensor.cfa"].value = '["RG", "GB"]'
 
 
 def test_a_text_is_a_value_of_a_camera_file(widget):
@@ -226,7 +311,8 @@ def test_what_a_widget_saves(widget, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     widget.controls[EXPOSURE].switch.value = True
     widget.controls[EXPOSURE].number.value = 12.5
-    for name in (*FILES, "mine.png"):
+    wait_until(lambda: widget.panels.opened["histogram"].parts)
+    for name in (*FILES, "mine.png", "histogram.csv", "histogram.svg"):
         widget.file.value = name
         widget._save_button.click()
         assert widget._saved.value == f"{name} is written" and (tmp_path / name).stat().st_size
@@ -234,7 +320,13 @@ def test_what_a_widget_saves(widget, tmp_path, monkeypatch):
     assert np.array_equal(np.asarray(Image.open("mine.png")), settled(widget))
     assert gs.open_camera("camera.toml").sensor.exposure_time == 0.0125
     assert "ms" in (tmp_path / "report.txt").read_text()
-    for name, words in (("frame.xyz", "unknown output format"), (".", "unknown output format")):
+    assert "</svg>" in (tmp_path / "histogram.svg").read_text()
+    assert len((tmp_path / "histogram.csv").read_text().splitlines()) > 10
+    for name, words in (
+        ("frame.xyz", "unknown output format"),
+        (".", "unknown output format"),
+        ("budget.csv", "unknown open panel"),
+    ):
         widget.file.value = name
         widget._save_button.click()
         assert words in widget._saved.value
@@ -258,7 +350,7 @@ def test_a_widget_that_is_closed_makes_no_more_pictures(faked):
     settled(faked)
     faked.close()
     made = len(faked._producer.made)
-    faked.controls[F_NUMBER].slider.value = 4.0
+    faked.controls[F_NUMBER].slider.value = 400
     time.sleep(0.3)
     assert len(faked._producer.made) == made
 
@@ -390,10 +482,13 @@ def test_a_kernel_runs_it():
         for k in range(100):
             content = {
                 "comm_id": said.text.strip(),
-                "data": {"method": "update", "state": {"value": 2 + k / 20}, "buffer_paths": []},
+                "data": {"method": "update", "state": {"value": 200 + k}, "buffer_paths": []},
             }
             client.kc.shell_channel.send(client.kc.session.msg("comm_msg", content))
-        assert client.execute_cell(notebook.cells[1], 1).outputs[0].text == "6.95 True png True\n"
+        last = CONTROLS[F_NUMBER].to_value(299)
+        assert (
+            client.execute_cell(notebook.cells[1], 1).outputs[0].text == f"{last} True png True\n"
+        )
     assert "application/vnd.jupyter.widget-view+json" in shown.data
     # what has come to the browser
     states = [

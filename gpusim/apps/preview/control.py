@@ -9,7 +9,7 @@ from typing import Any
 from gpusim.domain.camera_keys import SECTIONS, value_of
 from gpusim.domain.errors import BadData, OutOfRange, format_value
 
-PLACES = 1000  # of a slider
+PLACES = 1000  # of a slider between numbers that are not whole
 BEYOND, BEYOND_LOG = 2, 10  # a number that is typed may be as many times as large as a slider's end
 
 
@@ -54,21 +54,26 @@ class Control:
     words: str = ""
 
     @property
+    def places(self) -> int:
+        """Last place of the slider; the first one is 0. Whole numbers have one place each."""
+        return round(self.high - self.low) if self.is_whole else PLACES
+
+    @property
     def name(self) -> str:
         """Name of the control, for links and tests."""
         return f"{self.section}.{self.key}" + ("" if self.item is None else f".{self.item}")
 
     def to_place(self, value: float) -> int:
-        """Return the place of the slider for a value, 0 .. PLACES."""
+        """Return the place of the slider for a value, 0 .. `places`."""
         low, high = self.low, self.high
         value = min(max(value, low), high)
         part = log(value / low) / log(high / low) if self.is_log else (value - low) / (high - low)
-        return round(PLACES * part)
+        return round(self.places * part)
 
     def to_value(self, place: int) -> float:
         """Return the value at a place of the slider, to four digits."""
         low, high = self.low, self.high
-        part = place / PLACES
+        part = place / self.places
         value = low * (high / low) ** part if self.is_log else low + (high - low) * part
         return round(value) if self.is_whole else float(f"{value:.4g}")
 

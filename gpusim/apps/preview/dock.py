@@ -10,13 +10,12 @@ from typing import Any
 from nicegui import ui
 
 from gpusim.apps.preview.canvas import Canvas, mark
-from gpusim.apps.preview.figures import Note, Part, save_csv, save_svg
+from gpusim.apps.preview.figures import PARTS_STYLE, Part, save_csv, save_svg
 from gpusim.apps.preview.measures import Inputs, Where
 from gpusim.apps.preview.panels import DEFAULTS, PANELS, PLACES, Panel
 from gpusim.apps.preview.panels_kept import Kept
 from gpusim.apps.preview.panels_light import describe_pixel
 from gpusim.apps.preview.session import Session
-from gpusim.domain.errors import GpusimError, one_line
 from gpusim.pipeline.cache import same
 
 # pause between refreshes: times the device's work of the last one, times the host's; [s] at most
@@ -27,9 +26,6 @@ SLOW = ThreadPoolExecutor(1, "gpusim-slow-panels")
 STYLE = """
 .panel-grid { display: grid; gap: 8px; grid-template-columns: repeat(auto-fill, minmax(min(300px, 100%), 1fr)); }
 .panel { border: 1px solid color-mix(in srgb, currentColor 25%, transparent); border-radius: 6px; padding: 4px 8px; }
-.panel-note { font-size: 12px; margin: 2px 0; }
-.panel-table { font-size: 12px; width: 100%; }
-.panel-table td, .panel-table th { text-align: right; padding: 0 4px; font-weight: normal; }
 """
 # of an SVG text, a PNG with twice its pixels of the screen, which the browser then saves
 SAVE_PNG = """
@@ -158,7 +154,7 @@ class Dock:
 
     def build(self, names: tuple[str, ...] = DEFAULTS) -> None:
         """Make the elements. names: panels that are open at first."""
-        ui.add_css(STYLE)
+        ui.add_css(STYLE + PARTS_STYLE)
         with ui.column().classes("w-full gap-1").props(mark("dock")):
             with ui.row().classes("w-full items-center gap-2"):
                 self._pixel: Any = ui.label().classes("grow text-sm font-mono").props(mark("pixel"))
@@ -235,7 +231,7 @@ class Dock:
                 bad = [one for one in cards if "irradiance" in one.panel.needs(one.chosen, where)]
                 cards = [card for card in cards if card not in bad]
                 for card in bad:
-                    card.show([], _explain(card.panel, error))
+                    card.show([], card.panel.explain(error))
         has_irradiance = any(
             "irradiance" in card.panel.needs(card.chosen, where) for card in self.cards.values()
         )
@@ -244,7 +240,7 @@ class Dock:
             found, on_device = await self.session.compute(_measure_time, inputs)
         except Exception as error:  # the picture also says it
             for card in cards:
-                card.show([], _explain(card.panel, error))
+                card.show([], card.panel.explain(error))
             return LONGEST_PAUSE
         self._channels = found.camera.sensor.channels
         for card in cards:
@@ -284,11 +280,7 @@ class Dock:
             if same(card.inputs, inputs):
                 results.append(None)
                 continue
-            try:
-                parts = list(card.panel.read(found, where, chosen, self._kept))
-                results.append((parts, "".join(part.html() for part in parts)))
-            except Exception as error:  # a panel that fails is a line of text
-                results.append(([], _explain(card.panel, error)))
+            results.append(card.panel.content(found, where, chosen, self._kept))
             card.inputs = inputs
         return describe_pixel(found, where), results
 
@@ -309,11 +301,3 @@ def _measure_time(work):
     """Return the result of a function, and the time it took [s]."""
     start = time.perf_counter()
     return work(), time.perf_counter() - start
-
-
-def _explain(panel, error):
-    """Return the HTML of an error in one line."""
-    words = str(error) or type(error).__name__
-    if not isinstance(error, GpusimError):
-        words = f"{panel.title} fails: {words}"
-    return Note(one_line(words)).html()

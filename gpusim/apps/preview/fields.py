@@ -8,7 +8,7 @@ from typing import Any
 from nicegui import ui
 
 from gpusim.apps.preview.canvas import mark
-from gpusim.apps.preview.control import PLACES, Control, as_text, parse
+from gpusim.apps.preview.control import Control, as_text, parse
 from gpusim.domain.errors import format_value
 
 OPEN = ("Scene", "Exposure", "Lens")  # groups, at first
@@ -78,9 +78,9 @@ class Field:
         return text
 
     def _make_number(self):
-        self.slider = ui.slider(min=0, max=PLACES, value=0, on_change=self._slide).classes(
-            "grow min-w-0"
-        )
+        self.slider = ui.slider(
+            min=0, max=self.control.places, value=0, on_change=self._slide
+        ).classes("grow min-w-0")
         self._mark(self.slider, self._name, self.control.label)
         number = ui.number(suffix=self.control.unit or None).classes("w-28 shrink-0")
         self._mark(number, f"{self._name} number", f"{self.control.label}, number")

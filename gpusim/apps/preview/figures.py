@@ -24,6 +24,12 @@ from gpusim.apps.preview.curves import (
     ticks,
 )
 
+PARTS_STYLE = """
+.panel-note { font-size: 12px; margin: 2px 0; }
+.panel-table { font-size: 12px; width: 100%; }
+.panel-table td, .panel-table th { text-align: right; padding: 0 4px; font-weight: normal; }
+"""
+
 
 class Part(Protocol):
     """A part of a panel's content."""

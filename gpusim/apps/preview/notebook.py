@@ -2,7 +2,6 @@
 
 import asyncio
 import atexit
-import time
 from dataclasses import replace
 from functools import cache, partial
 from html import escape
@@ -17,11 +16,10 @@ from ipywidgets import HTML, Dropdown, HBox, Layout, VBox
 from gpusim.apps.preview.control import as_text, parse
 from gpusim.apps.preview.controls import CONTROLS, GROUPS, LIGHTS, LUMINANCE, OWN, TOLERANCES, VIEWS
 from gpusim.apps.preview.labels import describe_exposure, describe_plan
-from gpusim.apps.preview.measures import Where
 from gpusim.apps.preview.notebook_fields import Number
+from gpusim.apps.preview.notebook_panels import SUFFIXES, Panels
 from gpusim.apps.preview.overrides import Given, table_of
-from gpusim.apps.preview.panels_kept import Kept
-from gpusim.apps.preview.panels_light import describe_pixel, histogram
+from gpusim.apps.preview.panels import PANELS
 from gpusim.apps.preview.producer import Producer
 from gpusim.apps.preview.recipes import CAMERA, SAVED
 from gpusim.apps.preview.scene_choice import DEFAULT_SIZE, SceneChoice, checked_size
@@ -40,10 +38,10 @@ from gpusim.io.scene.option_texts import format_size
 from gpusim.io.scene.scenes import open_scene
 from gpusim.pipeline.frame import Frame
 
-HISTOGRAM_INTERVAL = 0.5  # [s] between histograms, while a slider is moved or noise is live
 LIVE_PERIOD = 0.1  # [s] least time between pictures of live noise
 GIVEN = "the given one"  # scene
 FILES = (CAMERA, "report.txt", *(f"frame{suffix}" for suffix in SAVED))
+PANEL_FILES = tuple(f"{name}{suffix}" for name in PANELS for suffix in SUFFIXES)
 STYLE = {"description_width": "9em"}
 
 
@@ -73,8 +71,8 @@ class Preview(HBox):
     Attributes:
         controls: Name -> field, of all of `CONTROLS` and of "view", "is_live", "tolerance", "scene",
             "size", "light", "luminance", "seed" and "frame": a Number, or a widget with a `value`.
-        place: Fields of the row and the column of the pixel that is read out.
-        file: Field with the name of a file that `save` writes, one of FILES.
+        panels: Panels of measurements, with the fields of the pixel that is read out.
+        file: Field with the name of a file that `save` writes: one of FILES or PANEL_FILES, or another.
         image: An ipywidgets.Image: a JPEG while a control moves, then a PNG.
     """
 
@@ -88,18 +86,18 @@ class Preview(HBox):
         self._is_updating = False  # True while the settings change the controls
         self._requested_version = 0  # of the settings
         self._shown_version = -1
-        self._histogram_time = 0.0  # when the last histogram was made
         self._error = HTML()
         self._description = HTML("the first picture is being made")
-        self._histogram = HTML(layout=Layout(max_width="640px"))
-        self._pixel, self._saved = HTML(), HTML()
+        self._saved = HTML()
+        self.panels = Panels()
         super().__init__(
             [self._make_picture_column(), self._make_control_column()],
             layout=Layout(flex_flow="row wrap"),
         )
         self._update_controls()
         self._session = _Session(producer, state, self._show)
-        self._serving = asyncio.run_coroutine_threadsafe(self._session.run(), _loop())
+        work = self._session.run(), self.panels.follow(self._session)
+        self._serving = [asyncio.run_coroutine_threadsafe(one, _loop()) for one in work]
 
     @property
     def state(self) -> State:
@@ -121,8 +119,8 @@ class Preview(HBox):
     def save(self, name: str | PathLike) -> None:
         """Write the frame, its report or the camera to a file.
 
-        name: Its name: a suffix of `Frame.save`; .txt for the report; .toml for the camera. Raises
-        GpusimError.
+        name: Its name: a suffix of `Frame.save`; .txt for the report; .toml for the camera; .csv or
+            .svg, after the name of an open panel, for what it shows. Raises GpusimError.
         """
         path = Path(name)
         if path.suffix == ".toml":
@@ -130,6 +128,8 @@ class Preview(HBox):
             text = self.state.toml()
         elif path.suffix == ".txt":
             text = f"{self.frame().report}\n"
+        elif path.suffix in SUFFIXES:
+            text = self.panels.text(path.stem, path.suffix)
         else:
             self.frame().save(path)
             return
@@ -143,7 +143,8 @@ class Preview(HBox):
 
     def close(self):
         """Stop making pictures."""
-        self._serving.cancel()
+        for one in self._serving:
+            one.cancel()
         super().close()
 
     # its parts
@@ -160,25 +161,14 @@ class Preview(HBox):
         self._undo, self._redo = steps
         live = self._add_field("is_live", ipywidgets.ToggleButton(description="live noise"))
         top = [self.image, HBox([view, live, *steps], layout=Layout(flex_flow="row wrap"))]
-        shown = [*top, self._error, self._description, self._make_readout(), self._histogram]
+        shown = [*top, self._error, self._description, self.panels]
         return VBox([*shown, self._make_saving()], layout=Layout(flex="1 1 480px"))
-
-    def _make_readout(self):
-        """Return fields of a pixel's place, and its values."""
-        short = Layout(width="9em")
-        self.place = tuple(
-            ipywidgets.BoundedIntText(
-                max=10**6, description=name, layout=short, style={"description_width": "4em"}
-            )
-            for name in ("row", "column")
-        )
-        for field in self.place:
-            field.observe(lambda change: self._read_pixel(), "value")
-        return HBox([*self.place, self._pixel])
 
     def _make_saving(self):
         """Return the fields that write a file."""
-        self.file = ipywidgets.Combobox(value=FILES[0], options=FILES, ensure_option=False)
+        self.file = ipywidgets.Combobox(
+            value=FILES[0], options=(*FILES, *PANEL_FILES), description="file"
+        )
         button = self._save_button = ipywidgets.Button(description="save", icon="save")
         button.on_click(lambda _: self._save())
         return HBox([self.file, button, self._saved], layout=Layout(flex_flow="row wrap"))
@@ -289,10 +279,6 @@ class Preview(HBox):
         else:
             self._saved.value = escape(f"{name} is written")
 
-    def _read_pixel(self):
-        if self._session.shown is not None:
-            asyncio.run_coroutine_threadsafe(self._update_measures(), _loop())
-
     def _step(self, step, _):
         if step():
             self._request_picture()
@@ -346,28 +332,17 @@ class Preview(HBox):
                 self.image.format = "png" if kind == PNG else "jpeg"
                 self.image.value = data[HEAD.size :]
             shown = session.shown
+            for name, value in shown.facts["metered"].items():
+                self.controls[name].show_metered(value)
             first = f"frame {shown.number}  made in {shown.ms:.0f} ms"
             text = escape(
                 "\n".join([first, describe_exposure(shown.facts), describe_plan(shown.facts)])
             )
             style = "white-space:pre-wrap;line-height:1.4"
             self._description.value = f'<pre style="{style}">{text}</pre>'
-            if kind == PNG or time.monotonic() - self._histogram_time > HISTOGRAM_INTERVAL:
-                await self._update_measures()
+            self.panels.request(kind == PNG)
         if kind == PNG or not data or session.state.is_live:
             self._shown_version = version
-
-    async def _update_measures(self):
-        at = tuple(field.value for field in self.place)
-        try:
-            found = await self._session.compute(self._producer.inputs, frozenset({"raw", "mean"}))
-        except Exception:
-            return  # the next picture says it, also of a device that fails
-        where = Where(found.scene.shape, at)
-        parts = histogram(found, where, {"scale": "log"}, Kept())
-        self._histogram.value = "".join(part.html() for part in parts)
-        self._histogram_time = time.monotonic()
-        self._pixel.value = escape(describe_pixel(found, where))
 
 
 def _red(words):

@@ -5,9 +5,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gpusim.apps.preview import panels_lens, panels_light, panels_picture, panels_sensor
-from gpusim.apps.preview.figures import Part
+from gpusim.apps.preview.figures import Note, Part
 from gpusim.apps.preview.measures import Inputs, Where
 from gpusim.apps.preview.panels_kept import Kept
+from gpusim.domain.errors import GpusimError, one_line
 
 CHANNELS = ("channel",)  # choices that are the letters of the camera's channels
 
@@ -49,6 +50,23 @@ class Panel:
         there = tuple(name in found.arrays for name in self.needs(chosen, where))
         own = (getattr(where if name in PLACES else found, name) for name in self.follows)
         return *own, there, *chosen.items()
+
+    def content(
+        self, found: Inputs, where: Where, chosen: Chosen, kept: Kept
+    ) -> tuple[list[Part], str]:
+        """Return its parts and their HTML; if it fails, no parts and the reason."""
+        try:
+            parts = list(self.read(found, where, chosen, kept))
+            return parts, "".join(part.html() for part in parts)
+        except Exception as error:  # a panel that fails is a line of text
+            return [], self.explain(error)
+
+    def explain(self, error: Exception) -> str:
+        """Return the HTML of an error in one line."""
+        words = str(error) or type(error).__name__
+        if not isinstance(error, GpusimError):
+            words = f"{self.title} fails: {words}"
+        return Note(one_line(words)).html()
 
     def choices(self, channels: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
         """Return the choices by name, of a camera with these channels."""
