@@ -86,6 +86,16 @@ def opened(chromium, address, **size):
     return page
 
 
+def photograph(page, path):
+    """Keep a picture of the page, with 128 colours: small enough for docs."""
+    from PIL import Image
+
+    page.screenshot(path=path)
+    with Image.open(path) as found:
+        small = found.convert("P", palette=Image.Palette.ADAPTIVE, colors=128)
+        small.save(path, optimize=True)
+
+
 def version(page) -> int:
     """Of the settings of the last picture that was painted."""
     return page.evaluate("gpusimPainted.at(-1)[2]")

@@ -9,11 +9,18 @@ import pytest
 from test_session import SCENE, STATE, Fake, run, until
 
 import gpusim as gs
-from gpusim.apps.preview.comparison import AMPLIFIED, compare, describe_step, list_differences
+from gpusim.apps.preview.comparison import (
+    AMPLIFIED,
+    compare,
+    describe_step,
+    list_differences,
+    name_pictures,
+)
 from gpusim.apps.preview.control import as_text, parse
 from gpusim.apps.preview.controls import CONTROLS
 from gpusim.apps.preview.overrides import Given
 from gpusim.apps.preview.producer import Producer
+from gpusim.apps.preview.scene_choice import SceneChoice
 from gpusim.apps.preview.state import COMPARISONS, State
 from gpusim.apps.video.scenes import Still
 from gpusim.backends import open_device
@@ -257,6 +264,22 @@ def test_differences_of_cameras_are_listed():
     assert ("camera", "phone", "mono") in list_differences([state, other])
     assert describe_step(State("phone"), State("phone").change("noise.read_e", 2.0)) == "read 2 e⁻"
     assert describe_step(state, replace(state, camera="mono", changes={})) == "camera mono"
+    other = replace(state, scene=SceneChoice("flat", size=(64, 48)))
+    assert describe_step(state, other) == "scene flat --size 64x48"
+    assert describe_step(state, replace(state, marks_clipped=True)) == "clipping marked"
+
+
+def test_compared_pictures_bear_names():
+    state = State("phone").keep("A").keep("B")
+    assert name_pictures(State("phone")) == ()
+    for how, names in (
+        ("split", ("this camera", "B")),
+        ("side by side", ("this camera", "B", "A")),
+        ("difference", (f"this camera minus B, times {AMPLIFIED}",)),
+    ):
+        assert name_pictures(replace(state, compare=how)) == names
+    for split, name in ((0.0, "B"), (1.0, "this camera")):
+        assert name_pictures(replace(state, compare="blink", split=split)) == (name,)
 
 
 def test_three_cameras_stand_side_by_side():

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from browsers import marked, newer, opened, serving, version
+from browsers import marked, newer, opened, photograph, serving, version
 from test_page import choose, keep, number
 
 from gpusim.apps.preview.controls import CONTROLS, GROUPS
@@ -59,6 +59,13 @@ def test_a_search_shows_what_it_finds(chromium, address):
         """[...document.querySelectorAll(".gp-row")].filter(one => one.offsetParent).length === 1"""
     )
     assert marked(page, "noise.row_prnu").is_visible()
+    assert not marked(page, "group Scene").is_visible()
+    page.locator('input[data-mark="search"]').fill(
+        "luminance of white"
+    )  # of the light, not of a camera's file
+    page.locator('input[data-mark="luminance number"]').wait_for()
+    page.locator('input[data-mark="search"]').fill("chart")
+    marked(page, "group Scene").wait_for()
     page.locator('input[data-mark="search"]').fill("")
     marked(page, "optics.f_number").wait_for()
     page.close()
@@ -249,11 +256,9 @@ def test_pictures_of_the_page(chromium, tmp_path, name):
         page.wait_for_timeout(3000)
         folder = Path(os.environ.get("PREVIEW_PICTURES", tmp_path))
         path = folder / f"preview-{name}.png"
-        page.screenshot(path=path)
+        photograph(page, path)
         from PIL import Image
 
         with Image.open(path) as found:
-            small = found.convert("P", palette=Image.Palette.ADAPTIVE, colors=128)
-            small.save(path, optimize=True)
             assert found.size == (width, height)
             assert np.asarray(found.convert("RGB")).std() > 10 and not page.errors

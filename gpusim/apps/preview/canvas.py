@@ -103,7 +103,8 @@ class Canvas:
         self._captions.clear()
         with self._captions:
             for name in names:
-                ui.label(name).style("flex: 1" if are_apart else "")
+                with ui.element("div").style("flex: 1" if are_apart else ""):
+                    ui.label(name)
 
     def _on_wheel(self, event):
         self.zoom(1 if event.args["deltaY"] < 0 else -1)

@@ -29,6 +29,7 @@ def efficiency(found: Inputs, where: Where, chosen, kept) -> list[Part]:
         lines += [
             Line(f"filter {letter}", table.wavelengths, values, channel_color(letter), "2 2")
             for letter, values in zip(filters.letters, np.atleast_2d(table.values), strict=True)
+            if letter in sensor.channels
         ]
         for name, part in (("photodetector", filters.photodetector), ("IR cut", filters.ir_cut)):
             if part is not None:

@@ -28,9 +28,9 @@ body { background: var(--gp-back); color: var(--gp-text); }
 }
 .gp-captions {
     position: absolute; inset: 0 0 auto; display: flex; justify-content: space-between; pointer-events: none;
-    font-size: 12px; color: #fff; text-shadow: 0 0 2px #000, 0 0 4px #000, 0 0 4px #000;
+    font-size: 12px; color: #fff;
 }
-.gp-captions > * { padding: 2px 6px; overflow-wrap: anywhere; }
+.gp-captions > * > * { width: fit-content; padding: 2px 6px; background: rgb(0 0 0 / 65%); overflow-wrap: anywhere; }
 .gp-bar { display: flex; align-items: center; gap: 4px; overflow-x: auto; }
 .gp-title { font-size: 1rem; line-height: 1.3; font-weight: 500; flex-grow: 1; margin: 0; }
 body.body--light :is(.gp-page, .q-dialog, .q-menu) { --q-primary: #1565c0; }
