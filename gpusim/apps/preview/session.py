@@ -250,9 +250,10 @@ class Session:
         While a whole picture is made, for example planned, there may be drafts of half as many rows and columns.
         """
         drafts = self._moves and not settles
-        if drafts and self._is_busy:
+        is_slow = self._slow.get(self._moved, 0) >= TIMES
+        if drafts and self._is_busy and not is_slow:
             await asyncio.wait({self._whole}, timeout=SLOW)
-        if drafts and crop is None and (self._is_busy or self._slow.get(self._moved, 0) >= TIMES):
+        if drafts and crop is None and (self._is_busy or is_slow):
             try:
                 made = await _run(DRAFTS, self._encode_half, state, number)
             except GpusimError:
