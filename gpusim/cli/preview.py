@@ -72,7 +72,7 @@ def preview(request: PreviewRequest) -> int:
     from gpusim.apps.preview.body_limit import BodyLimit
     from gpusim.apps.preview.controls import TOLERANCES
     from gpusim.apps.preview.guard import Guard, log_in_lines
-    from gpusim.apps.preview.page import mount
+    from gpusim.apps.preview.mount import mount
     from gpusim.apps.preview.producer import Producer
     from gpusim.apps.preview.shelf import Shelf
     from gpusim.apps.preview.state import State

@@ -354,7 +354,7 @@ def record(monkeypatch):
 
     import gpusim.apps.l3.train
     import gpusim.apps.pairs.processes
-    import gpusim.apps.preview.page
+    import gpusim.apps.preview.mount
     import gpusim.apps.warmup
     import gpusim.backends.probe
     import gpusim.bench.cold
@@ -445,7 +445,7 @@ def record(monkeypatch):
         print(made.device.name, made.period, vars(state), name, shape, title, made.frames)
         print(made._capture, *(digest(scene) for scene in shown))
 
-    monkeypatch.setattr(gpusim.apps.preview.page, "mount", mounted)
+    monkeypatch.setattr(gpusim.apps.preview.mount, "mount", mounted)
     share = gpusim.apps.pairs.processes.share_shards
 
     def shared(starts, missing, jobs, report):  # the files are the same

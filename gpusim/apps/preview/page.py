@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from nicegui import app, ui
+from nicegui import ui
 
 from gpusim.apps.preview.canvas import Canvas, mark
 from gpusim.apps.preview.compare_bar import CompareBar
@@ -23,8 +23,6 @@ from gpusim.apps.preview.recipes import Start
 from gpusim.apps.preview.saving import SaveMenu
 from gpusim.apps.preview.scene_chooser import SceneChooser
 from gpusim.apps.preview.session import Session
-from gpusim.apps.preview.sessions import Sessions
-from gpusim.apps.preview.state import State
 from gpusim.apps.preview.style import STYLE
 from gpusim.domain.errors import GpusimError
 from gpusim.io.camera.cameras import camera_names, camera_table
@@ -384,58 +382,3 @@ class Page:
         )
         self._elements["left out"].text = describe_plan(shown.facts)
         self._elements["clipped"].text = shown.facts.get("clipped", "")
-
-
-def mount(made, first: State, title: str, shape: tuple[int, int], start: Start) -> Sessions:
-    """Add the page and its websocket to NiceGUI's application.
-
-    made: makes a client's Producer. first: settings of a new page. Others: see `Page`.
-    """
-    from fastapi import WebSocket, WebSocketDisconnect
-
-    sessions = Sessions(made, first)
-
-    @ui.page("/")
-    def page(s: str = "", state: str = ""):
-        try:
-            token, session = sessions.of(s, state)
-        except GpusimError as error:
-            ui.label(str(error)).classes("text-red-500")
-            return
-        client = ui.context.client
-        session.pages[client.id] = client.delete
-        client.on_delete(lambda: session.pages.pop(client.id, None))
-        Page(session, token, title, shape, start).build()
-        ui.run_javascript(f"history.replaceState(null, '', '/?s={token}')")
-
-    @app.websocket("/picture/{token}")
-    async def picture(socket: WebSocket, token: str):
-        session = sessions.find(token)
-        if session is None:
-            await socket.close(1008)
-            return
-        with sessions.streaming(session) as is_let_in:
-            if is_let_in:
-                await socket.accept()
-                await stream(session, socket)
-            else:
-                await socket.close(1013)
-
-    async def stream(session: Session, socket: WebSocket):
-        """Send pictures until the page has gone."""
-
-        async def wait_for_paint():
-            message = await socket.receive()
-            if message["type"] == "websocket.disconnect":
-                raise WebSocketDisconnect
-            if len(message.get("text") or message.get("bytes") or "") > 16:
-                await socket.close(1009)
-                raise WebSocketDisconnect
-
-        try:
-            await session.serve(socket.send_bytes, wait_for_paint)
-        except (WebSocketDisconnect, RuntimeError):
-            pass  # it has gone
-
-    app.on_startup(sessions.watch)
-    return sessions
