@@ -1,6 +1,7 @@
 """Sessions of all clients of the preview, and the memory that they use."""
 
 import asyncio
+import gc
 import secrets
 import time
 from collections.abc import Callable
@@ -17,7 +18,7 @@ LEFT = 600.0  # [s] that the settings of a session without a stream are kept
 UNSEEN = 60.0  # [s] likewise, of a session that has never had one
 MOST_STREAMS = 16  # each holds its scene on the device
 MOST_SESSIONS = 256  # with and without a stream; without one it is only settings
-MOST_UNSEEN = 2 * MOST_STREAMS  # sessions that have never had a stream; a page of one takes 4 MiB
+MOST_UNSEEN = 20  # sessions that have never had a stream; a page of one takes 4 MiB
 MOST_WAITING = 1  # sessions without a stream that keep their memory for AWAY
 FORGOTTEN = 12.0  # [s] after which NiceGUI has forgotten a page whose session was removed
 LOOK = 1.0  # [s] between looks for sessions that were left
@@ -121,8 +122,11 @@ class Sessions:
         idle = [name for name, session in self._known.items() if not session.streams]
         idle.sort(key=lambda name: (self._known[name].was_seen, self._known[name].used))
         unseen = sum(not self._known[name].was_seen for name in idle)
-        for name in idle[: max(unseen - MOST_UNSEEN, len(self._known) - MOST_SESSIONS, -1) + 1]:
+        gone = idle[: max(unseen - MOST_UNSEEN, len(self._known) - MOST_SESSIONS, -1) + 1]
+        for name in gone:
             self._remove(name)
+        if gone:
+            gc.collect()  # elements of a page refer to one another
 
     def _remove(self, name):
         """Remove a session, and its pages of NiceGUI."""
