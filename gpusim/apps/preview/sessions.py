@@ -38,6 +38,7 @@ class Sessions:
     def __init__(self, made: Callable[[], Producer], first: State):
         self._made, self._first, self._device = made, first, made().device
         self._known: dict[str, Session] = {}
+        self._has_garbage = False  # elements of pages, which refer to one another
 
     @property
     def streams(self) -> int:
@@ -87,6 +88,9 @@ class Sessions:
         again_at = None
         while True:
             await asyncio.sleep(LOOK)
+            if self._has_garbage:
+                self._has_garbage = False
+                gc.collect()
             left, gone = await self.release_left(), self._remove_old()
             now = time.monotonic()
             if left or gone:  # the pages are forgotten a little later
@@ -122,13 +126,11 @@ class Sessions:
         idle = [name for name, session in self._known.items() if not session.streams]
         idle.sort(key=lambda name: (self._known[name].was_seen, self._known[name].used))
         unseen = sum(not self._known[name].was_seen for name in idle)
-        gone = idle[: max(unseen - MOST_UNSEEN, len(self._known) - MOST_SESSIONS, -1) + 1]
-        for name in gone:
+        for name in idle[: max(unseen - MOST_UNSEEN, len(self._known) - MOST_SESSIONS, -1) + 1]:
             self._remove(name)
-        if gone:
-            gc.collect()  # elements of a page refer to one another
 
     def _remove(self, name):
         """Remove a session, and its pages of NiceGUI."""
         for forget in [*self._known.pop(name).pages.values()]:
             forget()
+            self._has_garbage = True
