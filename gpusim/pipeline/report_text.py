@@ -34,7 +34,7 @@ def write_verdict(report: "Report") -> str:
 
 
 def write_account(account: "Account") -> str:
-    """Return one line: the predicted error of a frame without a tolerance, and what is not known of it."""
+    """Return one line: the predicted error of a frame without a tolerance, and its unknown parts."""
     known = {name: bound.rms for name, bound in account.bounds.items() if bound.is_known}
     by = max(known, key=lambda name: known[name], default="")
     words = f"no tolerance given: predicted error {account.total.rms:.2g} relative rms"

@@ -208,8 +208,8 @@ def test_a_blur_that_is_left_out_is_not_the_camera_s_choice():
     for model, words in (("diffraction", "blur: relative rms"), ("none", "optics.model is")):
         camera = gs.open_camera("mono").with_(model=model)
         left = gs.Simulator(camera, device="numpy", tolerance=1e-1).plan(scene).left_out
-        [told] = [one for one in left if "blur" in one or "optics.model" in one]
-        assert words in told
+        [reported] = [one for one in left if "blur" in one or "optics.model" in one]
+        assert words in reported
 
 
 def test_plan_has_three_exit_statuses(tmp_path, capsys):

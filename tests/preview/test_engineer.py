@@ -196,12 +196,14 @@ def measure_edges(page, folder):
     # the rectangle stands where it was dragged, within the pixels of the frame that it holds
     assert shapes["x"] - box["x"] == pytest.approx(0.42 * box["width"], abs=4)
     assert shapes["height"] == pytest.approx(0.8 * box["height"], abs=8)
-    told = ""
+    reported = ""
     for name, design in (("A", A), ("B", B)):
         if name == "B":
             take(page, "B")
-        found = read(page, "mtf", r"MTF50 (\d\.\d+) cycle/pixel, edge at (\d\.\d) degrees", told)
-        told = found[0]
+        found = read(
+            page, "mtf", r"MTF50 (\d\.\d+) cycle/pixel, edge at (\d\.\d) degrees", reported
+        )
+        reported = found[0]
         system, edge, cut = expected_mtf(design, curve)
         wrong = edge_error(design, 0.8 * 480, 0.16 * 640, edge, cut)
         at, slope = half(edge)
@@ -288,7 +290,7 @@ def metered(page):
 
 def work_in_low_light(page, folder, seconds, electrons):
     """A tenth of the light, then a hundredth in an exposure that is not longer than 10 ms; denoising."""
-    told = read(page, "budget", r"noise at (\S+) e⁻")[0]
+    reported = read(page, "budget", r"noise at (\S+) e⁻")[0]
     set_number(page, "luminance of white", "luminance", 10)
     # the exposure is longer by as much as the light is less, but for dark current, which also fills the pixel; 4 digits
     dark = DARK * 10 * seconds / electrons
@@ -297,7 +299,7 @@ def work_in_low_light(page, folder, seconds, electrons):
     set_number(page, "most gain", "sensor.auto_exposure.most_gain", 32)
     set_number(page, "luminance of white", "luminance", 1)
     assert metered(page) == pytest.approx(0.01)
-    faint = float(read(page, "snr", r"selected part: W (\S+) e⁻", told)[1])
+    faint = float(read(page, "snr", r"selected part: W (\S+) e⁻", reported)[1])
     # as much light in as much time
     assert faint == pytest.approx(electrons / 100 * 0.01 / seconds, rel=2e-3)
     budget = read(page, "budget", r"(\w+) dominates: (\d+)% of the variance")

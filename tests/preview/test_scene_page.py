@@ -143,7 +143,7 @@ def test_files_are_dropped_sent_and_refused(chromium, address, photo, tmp_path):
 
 @pytest.mark.slow
 def test_a_click_focuses_on_what_is_there(chromium, address, tmp_path):
-    """Left half a metre, right four metres: the focus is what was clicked on, and the picture follows."""
+    """Left half a metre, right four metres: a click sets the focus to the distance under it. Without depth it enlarges."""
     page = opened(chromium, address)
     switch = marked(page, "pick focus")
     assert not switch.is_visible()  # the scene has no depth
@@ -163,6 +163,11 @@ def test_a_click_focuses_on_what_is_there(chromium, address, tmp_path):
         newer(page, before)
         page.wait_for_function(f"document.querySelector('{NUMBER}').value == {distance}")
         assert size(page) == [160, 120], "a click does not enlarge while it focuses"
+    choose(page, "scene", "colorchecker")
+    switch.wait_for(state="hidden")
+    whole = size(page)
+    page.mouse.click(box["x"] + 0.5 * box["width"], box["y"] + 0.5 * box["height"])
+    page.wait_for_function(f"document.querySelector('canvas').width < {whole[0]}")
     assert not page.errors
     page.close()
 

@@ -203,7 +203,7 @@ class Group:
 
     Args:
         name: Its title.
-        words: Other words by which a search finds the whole group.
+        words: Other words with which a search finds the whole group.
     """
 
     def __init__(self, name: str, words: str = ""):

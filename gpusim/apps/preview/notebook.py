@@ -120,7 +120,7 @@ class Preview(HBox):
         """Write the frame, its report or the camera to a file.
 
         name: Its name: a suffix of `Frame.save`; .txt for the report; .toml for the camera; .csv or
-            .svg, after the name of an open panel, for what it shows. Raises GpusimError.
+            .svg, after the name of an open panel, for its content. Raises GpusimError.
         """
         path = Path(name)
         if path.suffix == ".toml":

@@ -32,8 +32,8 @@ class Opened(VBox):
     Attributes:
         panel: Panel.
         choices: Name of an option -> its field.
-        content: What it shows.
-        parts: The same, for files.
+        content: HTML of its parts.
+        parts: Its parts, for files.
     """
 
     def __init__(self, panel: Panel, channels: tuple[str, ...], on_choice):
@@ -48,7 +48,7 @@ class Opened(VBox):
             )
             for name, choices in panel.choices(channels).items()
         }
-        self._inputs: tuple | None = None  # of what is shown
+        self._inputs: tuple | None = None  # of the content
         for field in self.choices.values():
             field.observe(lambda change: on_choice(), "value")
         head = HBox([HTML(f"<b>{panel.title}</b>"), *self.choices.values()])
@@ -70,7 +70,7 @@ class Opened(VBox):
                 field.value = chosen
 
     def read(self, found: Inputs, where: Where, kept: Kept) -> None:
-        """Show what belongs to a picture and a place, unless it is shown."""
+        """Show the content for a picture and a place, unless it is shown already."""
         chosen = self.chosen
         inputs = self.panel.inputs(found, where, chosen)
         if not same(self._inputs, inputs):

@@ -371,7 +371,10 @@ class Page:
     def _show_facts(self, shown):
         session = self.session
         self._canvas.follow(shown.facts["shape"], shown.count)
-        self._elements["pick focus"].visible = shown.facts["has depth"]
+        pick = self._elements["pick focus"]
+        pick.visible = shown.facts["has depth"]
+        if not pick.visible and pick.value:
+            pick.value = False  # clicks enlarge again
         if self._is_moving and session.state.is_live:
             self._is_updating = True
             self._elements["frame"].value = shown.number

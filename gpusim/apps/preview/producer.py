@@ -93,7 +93,7 @@ class Producer:
         self._begin()
 
     def release(self) -> None:
-        """Forget all that pictures have in common, and open scenes. The next one takes as long as the first."""
+        """Free the shared parts of pictures, and open scenes. The next picture takes the time of a first one."""
         self._begin()
         self.shelf.forget_scenes()
 

@@ -72,7 +72,7 @@ def build_receiver(
             await _receive(event.files, session, suffixes, take)
         element.reset()
 
-    # FastAPI keeps the element's route after the page has gone, and with it what the route refers to
+    # FastAPI keeps the element's route after the page has gone, and everything to which the route refers
     receivers = [receive]
     ui.context.client.on_delete(lambda: receivers.clear())
 

@@ -14,7 +14,7 @@ from gpusim.io.scene.scenes import open_scene
 MOST_MEMORY = 2**31  # [byte] that a file or a chart may need while it is read
 MOST_OPEN, MOST_HELD = 8, 2**29  # open scenes, and their content [byte]
 
-# of all clients, by the keys of their choices, as long as one of them holds it
+# charts that a client holds, shared by all clients; keys of their choices -> scenes
 CHARTS: WeakValueDictionary[str, Scene] = WeakValueDictionary()
 
 
