@@ -143,7 +143,7 @@ def test_files_are_dropped_sent_and_refused(chromium, address, photo, tmp_path):
 
 @pytest.mark.slow
 def test_a_click_focuses_on_what_is_there(chromium, address, tmp_path):
-    """Left half a metre, right four metres: a click sets the focus to the distance under it. Without depth it enlarges."""
+    """Left .5 m, right 4 m: a click sets the focus to the distance under it. Without depth it enlarges."""
     page = opened(chromium, address)
     switch = marked(page, "pick focus")
     assert not switch.is_visible()  # the scene has no depth
