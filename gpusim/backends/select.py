@@ -8,6 +8,7 @@ from typing import Any
 from gpusim.backends.device import Device, refuse_fork
 from gpusim.backends.driver import cl_devices
 from gpusim.backends.opencl import OpenCLDevice
+from gpusim.domain.ending import finish_at_exit
 from gpusim.domain.errors import DeviceError
 
 _lock = threading.RLock()  # a device is opened once, also by several threads
@@ -33,7 +34,9 @@ def open_device(name: str = "auto") -> Device:
             f'device: {type(name).__name__}, wanted a name, for example "auto" or "opencl:0"'
         )
     with _lock:
-        return _open(name)
+        device = _open(name)
+    finish_at_exit()
+    return device
 
 
 Device.opened_by = open_device  # opens pickled devices

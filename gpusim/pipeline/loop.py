@@ -15,6 +15,7 @@ from gpusim.color.rendering import Rendering
 from gpusim.domain.account import Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.content import Content, Picture
+from gpusim.domain.ending import finish_before_end
 from gpusim.domain.errors import BadData, OutOfRange, check_known, format_value
 from gpusim.domain.exposure import checked_gain, checked_time
 from gpusim.domain.scene import Scene, checked_scene
@@ -506,6 +507,7 @@ class Loop:
             self._steps[name], self._made_of[name] = make(*args), args
             self.values.use(chain(*self._steps.values()))
 
+    @finish_before_end
     def expose(self) -> Exposure:
         """Return the exposure without its computing times. It does not wait for the device.
 
@@ -546,6 +548,7 @@ class Loop:
         self.values.give(content=blurred_content(plan, self.scene), view=self.scene.view)
         self.values["rates"]
 
+    @finish_before_end
     def begin(self, *, seed: int = 0, first: int = 0) -> None:
         """Start the next output before the plan is known to fit the scene, so that the device has work meanwhile.
 
@@ -661,6 +664,7 @@ class Loop:
                     scene is self.scene,
                 )
 
+    @finish_before_end
     def output(self, name: str, *, seed: int = 0, first: int = 0) -> Any:
         """Return one of OUTPUTS by its name. Only this output and the exposure are computed.
 
