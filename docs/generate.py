@@ -44,6 +44,7 @@ SAID = {
     "noise_profile": "A raw photograph (DNG) whose NoiseProfile gives gain, offset and read noise.",
     "qe_ends": '"zero": light outside the table is not counted. Without it such light is refused.',
     "table": 'Filters of `demosaic = "learned"`: an .npz file of `gpusim train-l3`; without it the built-in ones.',
+    "network": 'Weights of `demosaic = "network"`: an .npz file of `gpusim train-network`; else built in.',
     "photodetector_size": "Height and width of the sensitive rectangle over the pitch, instead of `fill_factor`.",
     "auto_exposure": "Method that sets the exposure time: see `AutoExposure`.",
     "conversion_gain_uv_per_e": "Conversion gain of the pixel; with `adc_range_v`, instead of `gain_dn_per_e`.",

@@ -20,6 +20,7 @@ _PLACES = {
     "pairs": ("pairs", "PairsRequest", "pairs", "TEXTS"),
     "preview": ("preview", "PreviewRequest", "preview", "TEXTS"),
     "train-l3": ("train_l3", "TrainRequest", "train_l3", "TEXTS"),
+    "train-network": ("train_network", "TrainNetworkRequest", "train_network", "TEXTS"),
     "verify": ("judges", "VerifyRequest", "verify", "VERIFY"),
     "bench run": ("bench_run", "RunRequest", "run", "TEXTS"),
     "bench scaling": ("bench_scaling", "ScalingRequest", "scaling", "TEXTS"),

@@ -6,6 +6,7 @@ from typing import Any
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.labels import Tabled
+from gpusim.domain.network import served_square
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
@@ -140,8 +141,10 @@ class Camera(Tabled):
                     f'"{processor.white_balance}" with filters that give XYZ',
                     '"illuminant" or "none": they balance white already',
                 )
+        elif processor.demosaic == "network":
+            served_square(sensor.cfa)  # OutOfRange if the network cannot serve it
         elif not sensor.bayer_phase and processor.demosaic != "bilinear":
-            allowed = '"bilinear", or "learned" with a table made by `gpusim train-l3`'
+            allowed = '"bilinear", "learned" with a table made by `gpusim train-l3`, or "network"'
             raise OutOfRange(
                 "processor.demosaic", f'"{processor.demosaic}" of the mosaic {mosaic}', allowed
             )

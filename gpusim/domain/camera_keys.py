@@ -333,6 +333,7 @@ _NOISE = {
 }
 _PROCESSOR = {
     "table": ("table", _text),
+    "network": ("network", _text),
     "white": ("white", _numbers()),
     "tone": ("tone", _pairs()),
 }

@@ -7,10 +7,11 @@ import numpy as np
 from gpusim.domain.errors import BadData, Interval, Limits, OutOfRange, check_fields, check_known
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.mosaics import bayer_phase
+from gpusim.domain.network import Network, is_served
 from gpusim.domain.short_repr import short_repr
 
 DEFECTS = ("none", "known", "detect")
-DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
+DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned", "network")
 WHITE_BALANCES = (
     "illuminant",
     "gray-world",
@@ -40,6 +41,7 @@ METHODS = {
 LIMITS = {
     "shading": Limits("True or False", kind=bool),
     "table": Limits("a FilterTable, see `gpusim.io.camera.learned.read_table`", kind=FilterTable),
+    "network": Limits("a Network, see `gpusim.io.camera.network.read_network`", kind=Network),
     "denoise": Limits("0 (none) .. 4", Interval(0, 4)),
 }
 BRIGHTEST = 1e3  # largest input of a tone curve, encoded
@@ -62,7 +64,8 @@ def fit_to_mosaic(cfa, before, is_stacked: bool, known: dict, free: set) -> dict
     changes = {}
     demosaic, color = known.get("demosaic", "bilinear"), known.get("color", "white-preserving")
     is_bayer = bayer_phase(cfa) is not None
-    if not (is_bayer or is_stacked or len(letters) < 2) and demosaic not in ("bilinear", "learned"):
+    suits = demosaic in ("bilinear", "learned") or (demosaic == "network" and is_served(cfa))
+    if not (is_bayer or is_stacked or len(letters) < 2 or suits):
         changes["demosaic"] = "bilinear"
     if len(letters) < 3 and color != "none":
         changes["color"] = "none"
@@ -87,9 +90,11 @@ class Processor:
         denoise: Strength of denoising before demosaicking: 1 follows the noise model, 0 is off.
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
-            blur), "learned" (local linear filters from a table). Other mosaics take "bilinear" or
-            "learned".
+            blur), "learned" (local linear filters from a table), "network" (a small network that also
+            removes noise, for any mosaic of red, green and blue). Mosaics that are not Bayer take
+            "bilinear", "learned" or "network".
         table: Filters of "learned"; None: the built-in ones for Bayer mosaics.
+        network: Weights of "network"; None: the built-in ones.
         white_balance: "illuminant" (the light of the scene is known; a perfect diffuser becomes
             neutral), an estimate from the picture ("gray-world", "max-rgb", "shades-of-gray",
             "red-blue"), "preset" (the light in which white has the values `white`), or "none" (as
@@ -118,6 +123,7 @@ class Processor:
     denoise: float = 0.0
     demosaic: str = "bilinear"
     table: FilterTable | None = None
+    network: Network | None = None
     white_balance: str = "illuminant"
     color: str = "white-preserving"
     training: str = "objects"
@@ -135,6 +141,12 @@ class Processor:
         if self.table is not None and self.demosaic != "learned":
             raise OutOfRange(
                 "processor.table", "given", f'only with demosaic = "learned", not "{self.demosaic}"'
+            )
+        if self.network is not None and self.demosaic != "network":
+            raise OutOfRange(
+                "processor.network",
+                "given",
+                f'only with demosaic = "network", not "{self.demosaic}"',
             )
         self._check_white()
         if self.tone:

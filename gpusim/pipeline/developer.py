@@ -27,6 +27,7 @@ from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
 from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.processor.malvar import malvar
+from gpusim.kernels.processor.network import network
 from gpusim.kernels.processor.quantise import quantise
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.thumbnail import thumbnail
@@ -58,7 +59,12 @@ def edges_of(display: Display, tone) -> np.ndarray:
     return thresholds(decoding(display, tone))
 
 
-SCRATCH = {"adaptive": 2, "best": 28, "learned": 6}  # memory of a demosaicker [byte per pixel]
+SCRATCH = {
+    "adaptive": 2,
+    "best": 28,
+    "learned": 6,
+    "network": 170,
+}  # memory of a demosaicker [byte per pixel]
 
 
 class Developer:
@@ -258,6 +264,19 @@ class Developer:
                 "table": processor.table,
                 # a camera's filters were learned from unbalanced channels, in its light
                 "places": None if processor.table else self._places,
+            }
+        elif method == "network":
+            stage, run, others = "processor.network", demosaic_balanced, ["neutral"]
+            words = "demosaicking and denoising by a network" + (
+                "" if processor.network else ", built in"
+            )
+            name = method
+            constants |= {
+                "demosaic": network,
+                "cfa": sensor.cfa,
+                "noise": numbers.noise,
+                "weights": processor.network,
+                "places": self._places,
             }
         elif not sensor.bayer_phase:
             stage, run, others = "processor.interpolate", interpolate, []

@@ -9,6 +9,7 @@ import json
 import re
 import shlex
 import shutil
+import sys
 from dataclasses import fields, replace
 from hashlib import sha256
 from itertools import product
@@ -157,6 +158,14 @@ ROWS = {
         "outputs": ("--camera phone -o out.npz", "--outputs xyz"),
         "seed": ("--camera phone -o out.npz", "--seed 5"),
         "device": ("--camera phone -o out.npz", "--device numpy"),
+    },
+    "train-network": {
+        "camera": ("photo.png -o out.npz", "--camera machine-vision"),
+        "out": ("photo.png -o out.npz", "-o other.npz"),
+        "minutes": ("photo.png -o out.npz", "--minutes 2"),
+        "state": ("photo.png -o out.npz", "--state a.pt"),
+        "seed": ("photo.png -o out.npz", "--seed 5"),
+        "device": ("photo.png -o out.npz", "--device numpy"),
     },
     "verify": {
         "device": ("--device numpy", "--device warp:cpu"),
@@ -353,6 +362,7 @@ def record(monkeypatch):
     import nicegui
 
     import gpusim.apps.l3.train
+    import gpusim.apps.network.pictures
     import gpusim.apps.pairs.processes
     import gpusim.apps.preview.mount
     import gpusim.apps.warmup
@@ -363,6 +373,7 @@ def record(monkeypatch):
     import gpusim.bench.scaling
     import gpusim.bench.suite
     import gpusim.io.camera.learned
+    import gpusim.io.camera.network
     import gpusim.judge.combinations
     import gpusim.judge.hard
     import gpusim.judge.pareto
@@ -418,11 +429,25 @@ def record(monkeypatch):
         )
         yield row | {"point": "a", "words": said(camera, scene, scene.shape, device)}
 
+    def network_trained(tiles, *, tell, **options):
+        model = SimpleNamespace(export=lambda text: SimpleNamespace(count=0, provenance=text))
+        return model, {"steps": f"{tiles} {options}"}
+
+    network = SimpleNamespace(  # in place of a module that needs PyTorch
+        Progress=None,
+        open_state=lambda path: path,
+        save_state=lambda path, _: Path(path).write_text(""),
+        provenance=said,
+        train=network_trained,
+    )
+    monkeypatch.setitem(sys.modules, "gpusim.apps.network.train", network)
     probed = gpusim.backends.probe.devices
     for module, name, function in (
         (gpusim.backends.probe, "devices", lambda refresh=False: probed()),  # measured before
         (gpusim.apps.l3.train, "train", trained),
         (gpusim.io.camera.learned, "write_table", lambda path, _: Path(path).write_text("")),
+        (gpusim.apps.network.pictures, "read_tiles", lambda *asked: said(*map(str, asked[:3]))),
+        (gpusim.io.camera.network, "write_network", lambda path, _: Path(path).write_text("")),
         (gpusim.judge.verify, "verify", verified),
         (gpusim.judge.verify, "verify_devices", verified_by_name),
         (gpusim.judge.hard, "hard", hard),

@@ -29,6 +29,7 @@ SETTINGS = {
     "adaptive": {"demosaic": "adaptive"},
     "best": {"demosaic": "best"},
     "learned": {"demosaic": "learned"},
+    "network": {"demosaic": "network"},
     "detected": {"defects": "detect"},
     "known": {"defects": "known"},
     "shaded": {"shading": True},
@@ -204,7 +205,7 @@ def test_float_raw_values_keep_noise_below_black():
 
 def test_mosaics_that_a_method_does_not_know():
     with pytest.raises(
-        OutOfRange, match=r'"best" of the mosaic .* "bilinear", or "learned" with a table'
+        OutOfRange, match=r'"best" of the mosaic .* "bilinear", "learned" with a table'
     ):
         camera_with(sensor={"cfa": ("RGB", "GBR", "BRG")}, demosaic="best")
     with pytest.raises(OutOfRange, match=r'"learned" of the mosaic'):

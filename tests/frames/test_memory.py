@@ -34,6 +34,7 @@ CAMERAS = {
     "stacked": camera_with(sensor={"stacked": True}),
     "best": camera_with(processor={"demosaic": "best"}),
     "learned": camera_with(processor={"demosaic": "learned"}),
+    "network": camera_with(processor={"demosaic": "network"}),
     "corrected": camera_with(processor={"denoise": 1.0, "shading": True, "defects": "detect"}),
     "no converter": camera_with(sensor={"bits": FLOAT_BITS}),
     "noise of every kind": camera_with(

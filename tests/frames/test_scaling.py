@@ -16,7 +16,7 @@ from gpusim.domain.processor import Processor
 from gpusim.io.camera.cameras import open_camera
 from gpusim.pipeline.simulator import Simulator
 
-DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned")
+DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned", "network")
 EVEN = {"model": "none", "relative_illumination": "none"}
 
 

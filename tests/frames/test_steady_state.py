@@ -90,7 +90,7 @@ FEATURES = {  # name -> camera, kind of scene, options of the Simulator
             "materials",
             {},
         )
-        for name in ("bilinear", "malvar", "adaptive", "best", "learned")
+        for name in ("bilinear", "malvar", "adaptive", "best", "learned", "network")
     },
     "no converter": (
         camera_with(sensor={"bits": FLOAT_BITS}, processor={"demosaic": "malvar"}),

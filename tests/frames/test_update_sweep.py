@@ -123,6 +123,7 @@ VALUES = {  # of every key, and of others that it needs
         "defects": '"none"',
         "demosaic": '"malvar"',
         "table": '"bayer.npz"\ndemosaic = "learned"',
+        "network": '"network.npz"\ndemosaic = "network"',
         "white_balance": '"gray-world"',
         "white": '[1.5, 1.0, 2.0]\nwhite_balance = "preset"',
         "color": '"none"',
@@ -171,7 +172,8 @@ def folder(tmp_path_factory):
     np.savez(
         made / "lens.npz", wavelengths_nm=[380.0, 780.0], psf=np.stack([spread] * 2), spacing_um=0.4
     )
-    (made / "bayer.npz").write_bytes((files("gpusim.data") / "learned" / "bayer.npz").read_bytes())
+    for name in ("bayer.npz", "network.npz"):
+        (made / name).write_bytes((files("gpusim.data") / "learned" / name).read_bytes())
     gs.Simulator(gs.open_camera("machine-vision"), device="numpy")(
         gs.chart("flat", size=(32, 32)), seed=1
     ).save(made / "shot.dng")

@@ -96,6 +96,7 @@ VALUES = {
         "denoise": 1.0,
         "demosaic": "malvar",
         "table": None,
+        "network": None,
         "white_balance": "gray-world",
         "color": "ridge",
         "training": "macbeth",

@@ -195,6 +195,7 @@ EXAMPLES = {
     "sensor.sensitivity": ["iset-rgb"],
     "sensor.noise_profile": ["missing.dng"],
     "processor.table": ["missing.npz"],
+    "processor.network": ["missing.npz"],
     "processor.white": [[0.6, 1.0, 0.7]],
     "display.primaries": [[[0.68, 0.32], [0.265, 0.69], [0.15, 0.06]]],
     "display.white": [[0.345, 0.358]],

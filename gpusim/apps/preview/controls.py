@@ -253,6 +253,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         _linear("processor", "denoise", "denoising", 0.0, 4.0),
         _choice("processor", "demosaic", "demosaicking", DEMOSAICS),
         _text("processor", "table", "learned filters"),
+        _text("processor", "network", "network's weights"),
         _choice("processor", "white_balance", "white balance", (*WHITES, "preset")),
         _text("processor", "white", "preset white"),
         _choice("processor", "color", "colour", COLORS),

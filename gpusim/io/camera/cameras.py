@@ -48,6 +48,7 @@ from gpusim.domain.units import (
     read_share_heading,
 )
 from gpusim.io.camera.learned import read_table
+from gpusim.io.camera.network import read_network
 from gpusim.io.files import name_in_errors, read_cells, read_text, reading
 
 _FOLDER = Path(str(resources.files("gpusim.data")), "cameras")
@@ -354,10 +355,13 @@ def _camera(path, table):
 
 
 def _processor(path, fields):
-    """Return the processor of its fields, with its filter table read and names checked."""
+    """Return the processor of its fields, with its filter table and network read and names checked."""
     if "table" in fields:
         with _name_key_in_errors(path, "[processor] table"):
             fields["table"] = read_table(path.parent / fields["table"])
+    if "network" in fields:
+        with _name_key_in_errors(path, "[processor] network"):
+            fields["network"] = read_network(path.parent / fields["network"])
     for key in ("training", "target"):
         if str(fields.get(key)).lower().endswith(FILES):
             fields[key] = str(path.parent / fields[key])
@@ -581,6 +585,8 @@ def _part(here, key, field, given):
         from gpusim.io.camera.noise_profile import read_noise_profile
 
         return read_noise_profile(Path(given))
+    if field == "network":
+        return read_network(Path(given))
     return read_table(Path(given)) if field == "table" else given
 
 

@@ -1,0 +1,1 @@
+"""Training of the demosaicking network (`gpusim train-network`)."""

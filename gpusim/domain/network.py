@@ -1,0 +1,98 @@
+"""The demosaicking network: its weights, and what it serves."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from gpusim.domain.errors import BadData, OutOfRange
+
+VERSION = 1  # of the inputs; weights of another version mean something else
+COLORS = "RGB"
+BLOCK = 4  # pixels whose values are the channels of a layer
+INPUTS = 2 * 3 * BLOCK + BLOCK  # first guess, masks, noise
+OUTPUTS = 3 * BLOCK
+REACH = 3  # of the first guess [pixel]
+NEAR = 0.8  # standard deviation of its weights [pixel]
+LARGEST = 150_000  # weights
+LONGEST_PERIOD = 8  # rows and columns of a mosaic
+
+
+def spread(distance: np.ndarray) -> np.ndarray:
+    """Return the weights of samples at distances [pixel] along one axis, float32."""
+    return np.exp(-0.5 * (np.asarray(distance) / NEAR) ** 2).astype(np.float32)
+
+
+def served_square(cfa) -> int:
+    """Return the side of squares that have every colour of a mosaic, wherever they lie [pixel].
+
+    Args:
+        cfa: One period of the mosaic, a text per row.
+
+    Raises:
+        OutOfRange: The network cannot serve the mosaic.
+    """
+    at = np.array([list(row) for row in cfa])
+    allowed = f"a period of at most {LONGEST_PERIOD}x{LONGEST_PERIOD} pixels of R, G and B"
+    shown = "/".join(cfa)
+    if at.ndim != 2 or max(at.shape) > LONGEST_PERIOD or {*at.flat} != {*COLORS}:
+        raise OutOfRange("mosaic of the network", shown, allowed)
+    most = REACH + 1  # at a border a pixel has one side only
+    for side in range(1, most + 1):
+        repeated = np.pad(at, [(0, side - 1)] * 2, mode="wrap")
+        windows = sliding_window_view(repeated, (side, side))
+        if all((windows == color).any((2, 3)).all() for color in COLORS):
+            return side
+    raise OutOfRange(
+        "mosaic of the network", shown, f"{allowed}, all in every {most}x{most} pixels"
+    )
+
+
+def is_served(cfa) -> bool:
+    """Return whether the network can serve a mosaic, see `served_square`."""
+    try:
+        return served_square(cfa) > 0
+    except OutOfRange:
+        return False
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Layers of 3 x 3 convolutions on blocks of 2 x 2 pixels.
+
+    Args:
+        weights: One array for each layer, (outputs, inputs, 3, 3), float32.
+        biases: One array for each layer, (outputs,), float32.
+        provenance: How the weights were made.
+
+    Raises:
+        BadData: The shapes do not fit, or a number is not finite.
+        OutOfRange: There are too many weights.
+    """
+
+    weights: tuple[np.ndarray, ...]
+    biases: tuple[np.ndarray, ...]
+    provenance: str = field(default="", repr=False)
+
+    def __post_init__(self):
+        inputs = INPUTS
+        if len(self.weights) != len(self.biases) or len(self.weights) < 2:
+            raise BadData("network: wanted two or more layers, each with weights and biases")
+        for number, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
+            is_last = number == len(self.weights) - 1
+            outputs = OUTPUTS if is_last else len(self.biases[0])
+            if weight.shape != (outputs, inputs, 3, 3) or bias.shape != (outputs,):
+                raise BadData(
+                    f"network, layer {number}: weights {weight.shape} and biases {bias.shape}, "
+                    f"wanted ({outputs}, {inputs}, 3, 3) and ({outputs},)"
+                )
+            if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
+                raise BadData(f"network, layer {number}: numbers that are not finite")
+            inputs = outputs
+        if self.count > LARGEST:
+            raise OutOfRange("weights of the network", self.count, f"at most {LARGEST:,}")
+
+    @property
+    def count(self) -> int:
+        """Number of weights and biases."""
+        return sum(one.size for one in (*self.weights, *self.biases))

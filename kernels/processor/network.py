@@ -1,0 +1,271 @@
+"""Demosaicking and denoising by a small network, for any mosaic of red, green and blue.
+
+Ports: raw (rows, cols) uint16 [DN] -> rgb (3, rows, cols) float32, 1 at the white level.
+"""
+
+import functools
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+
+from gpusim.backends import Device
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
+from gpusim.domain.network import BLOCK, COLORS, INPUTS, REACH, Network, served_square, spread
+from gpusim.io.camera.network import built_in_network
+from gpusim.kernels.common.cases import bench_mosaic
+from gpusim.kernels.processor.adaptive import DOMAINS
+from gpusim.kernels.processor.bayer import check_mosaic
+from gpusim.kernels.processor.best import root_gain
+from gpusim.kernels.processor.levels import check_balance, check_noise
+from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
+
+GROUP = 12  # outputs that an item of Warp makes; divides the outputs of every layer
+RUN = 64  # blocks of a CPU's work-item: rows of planes are whole runs
+TILES = "processor.network_tiles"  # the kernel of GPUs
+ALONG = 32  # columns of a work-group of GPUs
+MOST_INPUTS = 16  # in its local memory at a time
+GUARD = 8  # columns of blocks before a row; one would do, but vectors should begin at multiples
+
+
+@stage
+def network(
+    device: Device,
+    raw: Array,
+    *,
+    cfa: Sequence[str],
+    black_level: float,
+    scale: float,
+    domain: str = "root",
+    noise: tuple[float, float] = (0.0, 0.0),
+    balance: tuple[float, float] = (1.0, 1.0),
+    weights: Network | None = None,
+) -> Array:
+    """Demosaick and denoise by layers of 3 x 3 convolutions on blocks of 2 x 2 pixels.
+
+    The layers add to a first guess, weighted means of each colour's samples. They know the mosaic
+    and the noise of each sample. Nothing is clipped. Bayer mosaics are mirrored at borders; others
+    repeat their outermost period.
+
+    Args:
+        raw: Digital numbers [DN], shape (rows, cols), uint16.
+        cfa: One period of the mosaic, a text per row, at most 8 x 8, of R, G and B, which all
+            occur in every 4 x 4 pixels.
+        black_level: Black level [DN].
+        scale: Factor of the result [1/DN].
+        domain: "root" for linear data, "linear" for data that are already encoded and have no
+            noise.
+        noise: (gain [DN/e-], read [DN]): the variance of a digital number is gain (DN -
+            black_level) + read^2 [DN^2]; (0, 0) for no noise. With a read noise above 20 electrons
+            the gain is read / 20, as in `processor.best`.
+        balance: Factors of (red, blue) with which white is as strong in them as in green [1]. The
+            result is divided by them.
+        weights: The network; None for the built-in one.
+        device: A `Device`, or its name for `open_device`.
+
+    Returns:
+        Linear camera RGB [1], shape (3, rows, cols), float32.
+
+    Raises:
+        BadData: `raw` is no mosaic of uint16, or smaller than a period.
+        OutOfRange: The mosaic, `scale`, `noise` or `balance` is not allowed.
+        UnknownName: There is no such domain.
+
+    Source:
+        Gharbi, Chaurasia, Paris and Durand 2016, "Deep joint demosaicking and denoising", ACM
+        Transactions on Graphics 35(6), 191. Here with fewer weights, a first guess, masks of the
+        colours as inputs, and codes of constant noise (Anscombe 1948, Biometrika 35).
+    """
+    check_mosaic(raw, scale)
+    served_square(cfa)
+    least = tuple(max(2, period) for period in (len(cfa), len(cfa[0])))
+    if raw.shape[0] < least[0] or raw.shape[1] < least[1]:
+        raise BadData(
+            f"raw: {raw.shape[0]}x{raw.shape[1]} pixels; with the mosaic {'/'.join(cfa)} at least "
+            f"{least[0]}x{least[1]} are wanted"
+        )
+    if domain not in DOMAINS:
+        raise UnknownName("domain", domain, DOMAINS)
+    gain, read = (scale * value for value in check_noise(noise))
+    if domain == "linear" and (gain or read):
+        raise OutOfRange("noise", noise, '(0, 0) in domain "linear": encoded data')
+    balance = check_balance(balance)
+    gain = root_gain(gain, read)
+    offset = 0.375 * gain + (read**2 / gain if gain else 0.0)
+    prepared = _prepared(device, built_in_network() if weights is None else weights)
+    colors = _color_table(device, tuple(cfa))
+    rows, cols = raw.shape
+    margin = 2 * prepared.layers
+    high, wide = ((n + n % 2) // 2 + 2 * prepared.layers for n in (rows, cols))  # [block]
+    stride = -(-(wide + GUARD + 1) // RUN) * RUN
+    height, width = 2 * high + 2 * REACH, 2 * wide + 2 * REACH  # [pixel]
+    factors = tuple(map(float, np.sqrt((balance[0], 1.0, balance[1]))))
+    is_root = int(domain == "root")
+    launch = functools.partial(device.launch, "processor.network")
+    samples = device.empty((7, height, width))  # codes, masks, noise
+    launch(
+        "encode",
+        (height, width),
+        *(device.array(raw, np.uint16), colors, samples),
+        *(float(black_level), float(scale), float(offset), float(gain) ** 0.5 / 2, *factors),
+        *(is_root, margin + REACH, *colors.shape, rows, cols, height, width),
+    )
+    guess = device.empty((3, 2 * high, 2 * wide))
+    launch(
+        "guess",
+        (2 * high, 2 * wide),
+        *(samples, prepared.taps, guess, height, width),
+    )
+    planes = [device.empty((INPUTS, high + 2, stride))]
+    launch("pack", (high, wide), *(samples, guess, planes[0], high, wide, stride))
+    for number in range(prepared.layers):
+        outputs = prepared.outputs[number]
+        kind = 2 if number == prepared.layers - 1 else int(number > 0)
+        planes.append(device.empty((outputs, high + 2, stride)))
+        _convolve(device, prepared, number, planes, kind, (high, wide, stride))
+        planes = planes[-1:] if len(planes) > 2 else planes
+    out = device.empty((3, rows, cols))
+    launch(
+        "decode",
+        (rows, cols),
+        *(guess, planes[-1], out),
+        *(float(offset), *factors, is_root, margin, high, wide, stride, rows, cols),
+    )
+    return out
+
+
+def _convolve(device, prepared, number, planes, kind, sizes):
+    """Start one layer, from the last but one of `planes` to the last. kind: 0 the first, 1, 2 the last."""
+    high, wide, stride = sizes
+    launch = functools.partial(device.launch, "processor.network", "convolve")
+    arrays = (planes[-2], prepared.weights[number], prepared.biases[number], planes[-1])
+    inputs, outputs = planes[-2].shape[0], planes[-1].shape[0]
+    numbers = (kind, inputs, outputs, high, stride)
+    if device.is_gpu:
+        shared = max(1, 4 * GROUP // outputs)  # groups of rows, so that a work-group has four parts
+        rows, across = 4 * shared, -(-wide // ALONG)
+        items = ALONG * shared * outputs // GROUP
+        defines = {
+            "INPUTS": inputs,
+            "OUTPUTS": outputs,
+            "CHUNK": next(n for n in range(MOST_INPUTS, 0, -1) if inputs % n == 0),
+            "ROWS": rows,
+            "ITEMS": items,
+        }
+        device.launch(
+            TILES,
+            "convolve_tiles",
+            (-(-high // rows) * across * items,),
+            *(*arrays, kind, high, wide, stride, across),
+            defines=defines,
+            group=(items,),
+        )
+    elif device.kind == "opencl":
+        launch((high, stride // RUN), *arrays, *numbers, group=(1, 1))
+    else:
+        launch((outputs // GROUP, high, wide), *arrays, *numbers)
+
+
+class _Prepared:
+    """A network on a device.
+
+    weights: of each layer, outputs in groups, (groups, inputs, 9, MADE); of GPUs all of an input
+    together, (inputs, 9, outputs / MADE, MADE).
+    """
+
+    def __init__(self, device: Device, trained: Network):
+        self.layers = len(trained.weights)
+        self.outputs = [len(bias) for bias in trained.biases]
+        made = 6 if is_opencl_cpu(device) else GROUP
+        self.taps = device.array(spread(np.arange(-REACH, REACH + 1)))
+        self.weights, self.biases = [], []
+        for weight, bias in zip(trained.weights, trained.biases, strict=True):
+            if len(bias) % GROUP:
+                raise BadData(
+                    f"network: layers of {len(bias)} outputs; wanted a multiple of {GROUP}"
+                )
+            grouped = weight.reshape(-1, made, weight.shape[1], 9)
+            grouped = grouped.transpose((2, 3, 0, 1) if device.is_gpu else (0, 2, 3, 1))
+            self.weights.append(device.array(np.ascontiguousarray(grouped)))
+            self.biases.append(device.array(bias))
+
+
+_prepared = functools.lru_cache(maxsize=16)(_Prepared)
+
+
+@functools.lru_cache(maxsize=64)
+def _color_table(device, cfa):
+    """Return the index of each pixel's colour in a mosaic's period, (period_y, period_x)."""
+    return device.array(np.array([[COLORS.index(one) for one in row] for row in cfa]), np.int32)
+
+
+def cases():
+    """Yield cases.
+
+    The built-in network and a small random one, several mosaics and phases, both domains, noise,
+    balance, odd and degenerate sizes, black and saturation.
+    """
+    random = np.random.default_rng(40)
+    noise, balance = (0.5, 3.0), (1.7, 2.4)
+    small = _random_network(random)
+    options: tuple[tuple, ...] = (
+        ("RGGB", ("RG", "GB"), (9, 12), {}),
+        ("GBRG noisy", ("GB", "RG"), (13, 7), {"noise": noise}),
+        ("two rows", ("RG", "GB"), (2, 5), {}),
+        ("quad-Bayer", ("RRGG", "RRGG", "GGBB", "GGBB"), (16, 11), {"balance": balance}),
+        ("X-Trans", X_TRANS, (14, 18), {"noise": noise, "balance": balance}),
+        ("encoded", ("BG", "GR"), (8, 8), {"domain": "linear"}),
+    )
+    for name, cfa, (rows, cols), knowledge in options:
+        raw = random.integers(300, 2000, (rows, cols)).astype(np.uint16)
+        raw.flat[0], raw.flat[-1] = 0, 65535
+        yield _case(name, raw, cfa, small, **knowledge)
+    raw = random.integers(300, 2000, (20, 70)).astype(np.uint16)
+    yield _case("built in", raw, ("RG", "GB"), None, noise=noise)
+    yield _case("built in, X-Trans", raw, X_TRANS, None)
+
+
+X_TRANS = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
+
+
+def _random_network(random):
+    """Return a network of three layers whose sums neither grow nor vanish."""
+    sizes = (INPUTS, 12, 12, 3 * BLOCK)
+    shapes = [(into, of, 3, 3) for of, into in itertools.pairwise(sizes)]
+    weights = [random.normal(0, (9 * shape[1]) ** -0.5, shape) for shape in shapes]
+    biases = [random.normal(0, 0.1, shape[0]) for shape in shapes]
+    return Network(
+        tuple(one.astype(np.float32) for one in weights),
+        tuple(one.astype(np.float32) for one in biases),
+    )
+
+
+def _case(name, raw, cfa, weights, **knowledge):
+    """Return a case; its tolerance is the effect of weights that change as sums of float32 round."""
+    from gpusim.kernels.processor.network_ref import network as reference
+
+    trained = built_in_network() if weights is None else weights
+    inputs = {"raw": raw, "cfa": cfa, "black_level": 64.0, "scale": 1 / 2048, "weights": weights}
+    inputs |= knowledge
+    random, step, worst = np.random.default_rng(4), 1e-5, 0.0
+    exact = reference(**inputs)
+    for _ in range(3):
+        changed = [
+            one * (1 + step * random.choice([-1.0, 1.0], one.shape)) for one in trained.weights
+        ]
+        found = reference(**inputs | {"weights": Network(tuple(changed), trained.biases)})
+        worst = max(worst, np.abs(found - exact).max())
+    terms = max(one[0].size for one in trained.weights) + 60
+    return Case(
+        name,
+        inputs,
+        2 * 2.0**-24 * max(terms * worst / step / np.abs(exact).max(), 40),
+        "a sum of n terms in float32 is the exact sum with weights changed by n 2^-24 (Higham 2002, 3.1), so "
+        "the result is that of changed weights, whose effect the reference shows; 60 terms more for the codes, the "
+        "guess and decoding, at least 40 roundings; 2 because three random changes need not hit the worst one",
+    )
+
+
+def bench(rows, cols):
+    """Return inputs: a 10-bit mosaic."""
+    return {**bench_mosaic(5, rows, cols), "cfa": ("RG", "GB")}
