@@ -41,7 +41,7 @@ class SimulateRequest(Request):
         "-o",
         "--out",
         metavar="OUT",
-        help="file: .png, .jpg or .tif display, .exr or .npy linear RGB, .dng or .raw.npy raw, .npz "
+        help="file: .png, .jpg, .webp or .tif display, .exr or .npy linear RGB, .dng or .raw.npy raw, .npz "
         "electrons and DN; may be repeated",
         default=(),
         action="append",
@@ -53,7 +53,7 @@ class SimulateRequest(Request):
         ".exr (16, 32) (default: 8, 16, 32 and 32)",
     )
     quality: int | None = option(
-        type=whole(1, 100), metavar="N", help="quality of .jpg, 1 .. 100 (default: 95)"
+        type=whole(1, 100), metavar="N", help="quality of .jpg and .webp, 1 .. 100 (default: 95)"
     )
     report: str | None = option(
         metavar="FILE.json", help="file of the report: models, times and errors"
@@ -85,14 +85,14 @@ class SimulateRequest(Request):
             Conflict: If an option has no effect on these outputs.
         """
         from gpusim.io.atomic import check_output
-        from gpusim.io.frame.frames import JPEG, WITHOUT_PICTURE, frame_format
+        from gpusim.io.frame.frames import LOSSY, WITHOUT_PICTURE, frame_format
 
         outputs = [_number_files(path, self.count) for path in self.out]
         first = [output(0) for output in outputs]
         if not self.out:
             self.refuse("bits", "no file is written", "add -o OUT")
-        if not any(frame_format(path) in JPEG for path in first):
-            self.refuse("quality", "no .jpg is written", "add -o OUT.jpg")
+        if not any(frame_format(path) in LOSSY for path in first):
+            self.refuse("quality", "no .jpg or .webp is written", "add -o OUT.jpg")
         if all(frame_format(path) in WITHOUT_PICTURE for path in first):
             self.refuse("bits", "these files have one format of numbers")
             self.refuse("scaling", "no picture is written", "add -o with .png, .tif or .exr")
@@ -129,14 +129,14 @@ def simulate(request: SimulateRequest) -> int:
     Raises:
         GpusimError: If an option or a file is wrong.
     """
-    from gpusim.io.frame.frames import JPEG, check_format, frame_format
+    from gpusim.io.frame.frames import LOSSY, check_format, frame_format
     from gpusim.pipeline.report import Report
 
     outputs = request.check_outputs()  # before the work
     camera, scene = request.open_camera(), request.open_scene()
     simulator = request.open_simulator(camera)
     seen = replace(camera, sensor=simulator.readout.output)
-    qualities = [request.quality if frame_format(path) in JPEG else None for path in request.out]
+    qualities = [request.quality if frame_format(path) in LOSSY else None for path in request.out]
     for path, quality in zip(request.out, qualities, strict=True):
         check_format(path, seen, request.bits, quality)
     if request.capture is not None:

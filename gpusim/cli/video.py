@@ -90,8 +90,8 @@ class VideoRequest(MovingRequest):
         "--out",
         in_key=False,
         metavar="OUT",
-        help="encoded video .mp4 or .mkv, uncompressed video .y4m, or numbered files .png, .jpg, .tif, .exr, "
-        ".npy, .dng, .npz (a.png gives a_0000.png, ...); with --lerobot a folder",
+        help="encoded video .mp4 or .mkv, uncompressed video .y4m, or numbered files .png, .jpg, "
+        ".webp, .tif, .exr, .npy, .dng, .npz (a.png gives a_0000.png, ...); with --lerobot a folder",
         required=True,
     )
     lerobot: str | None = option(
@@ -137,10 +137,10 @@ class VideoRequest(MovingRequest):
     )
     quality: float | None = option(
         in_key=False,
-        type=number("a number, 0 .. 51", lambda value: 0 <= value <= 51),
-        metavar="CRF",
+        type=number("a number, 0 .. 100", lambda value: 0 <= value <= 100),
+        metavar="N",
         help="constant rate factor of h264 and h265, 0 .. 51, lower is better (default: the "
-        "encoder's)",
+        "encoder's); quality of .jpg and .webp files, 1 .. 100, higher is better (default: 95)",
     )
     shard: Shard = shard_option("part I of N, counted from 0; all parts together equal one run")
     segment: int = option(
@@ -159,7 +159,7 @@ class VideoRequest(MovingRequest):
 
     def check_settings(self) -> None:
         """Raise Conflict for two options that set the same, or that cannot hold together."""
-        from gpusim.io.frame.frames import WITHOUT_PICTURE
+        from gpusim.io.frame.frames import LOSSY, WITHOUT_PICTURE
 
         ramped = dict(self.ramp.ranges)
         for name in ("exposure", "iso", "f_number", "focus"):
@@ -171,8 +171,9 @@ class VideoRequest(MovingRequest):
         if self.flicker is not None:
             self.refuse("pwm", "--flicker already sets the light", "give only one of them")
         if self.lerobot is None and self.suffix not in ENCODED:
-            for name in ("codec", "quality"):
-                self.refuse(name, f"only {', '.join(ENCODED)} files are encoded")
+            self.refuse("codec", f"only {', '.join(ENCODED)} files are encoded")
+            if self.suffix not in LOSSY:
+                self.refuse("quality", f"only {', '.join((*ENCODED, *LOSSY))} files have one")
         has_picture = self.lerobot is not None or self.suffix not in WITHOUT_PICTURE
         if not has_picture or self.codec == "ffv1-raw":
             self.refuse("scaling", "the output holds raw values, not a picture")
@@ -337,11 +338,13 @@ def _target(request, simulator, scenes, segments):
         return target, target.folder / "video.json", made | more
     if request.suffix not in FORMATS:
         raise UnknownName("output format", request.suffix or request.out, [*ENCODED, *FORMATS])
-    return *_open_numbered(path, simulator, scenes), made
+    if request.is_given("quality"):
+        made["quality"] = request.quality
+    return *_open_numbered(path, simulator, scenes, request.quality), made
 
 
-def _open_numbered(path, simulator, scenes):
-    """Return numbered files as the output, and the path of their manifest.
+def _open_numbered(path, simulator, scenes, quality):
+    """Return numbered files as the output, and the path of their manifest. quality: of LOSSY files, or None.
 
     Raises BadFile, OutOfRange.
     """
@@ -349,8 +352,8 @@ def _open_numbered(path, simulator, scenes):
     from gpusim.io.atomic import check_output
     from gpusim.io.frame.frames import check_format
 
-    check_format(path, replace(simulator.camera, sensor=simulator.readout.output))
-    numbered = NumberedFiles(path, scenes.count)
+    check_format(path, replace(simulator.camera, sensor=simulator.readout.output), quality=quality)
+    numbered = NumberedFiles(path, scenes.count, None if quality is None else int(quality))
     manifest = path.with_name(f"{path.stem}_video.json")
     check_output(manifest)
     there = next((name for name in map(numbered.name, range(scenes.count)) if name.exists()), None)

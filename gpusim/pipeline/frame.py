@@ -153,9 +153,9 @@ class Frame(Pictured):
         """Write the frame to a file, see `gpusim.io.frame.frames.write_frame`.
 
         Args:
-            path: Path that ends in .png, .jpg, .tif, .exr, .npy, .dng, .npz or .raw.npy.
+            path: Path that ends in .png, .jpg, .webp, .tif, .exr, .npy, .dng, .npz or .raw.npy.
             bits: Bits of a value; None uses the format's default.
-            quality: Quality of a .jpg, 1 .. 100; None is 95.
+            quality: Quality of a .jpg or .webp, 1 .. 100; None is 95.
         """
         from gpusim.io.frame.frames import write_frame  # and all formats
 

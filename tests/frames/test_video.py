@@ -351,7 +351,7 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_pa
         "unknown codec": [*chart, "-o", mp4, "--codec", "mpeg2"],
         "unknown output format": [*chart, "-o", out / "a.gif"],
         "ffv1-raw in .mp4": [*chart, "-o", mp4, "--codec", "ffv1-raw"],
-        "--quality: only .mp4, .mkv, .y4m files are encoded": [
+        "--quality: only .mp4, .mkv, .y4m, .jpg, .jpeg, .webp files have one": [
             *chart,
             "-o",
             png,
@@ -378,7 +378,7 @@ def test_what_is_wrong_is_said_in_a_line_and_nothing_is_written(pictures, tmp_pa
         ["--shard", "1"],
         ["--fps", "0"],
         ["--frames", "0"],
-        ["--quality", "60"],
+        ["--quality", "101"],
     ):
         with pytest.raises(SystemExit) as status:
             main(["video", "flat", *asked, "-o", str(png), *wrong])

@@ -69,6 +69,7 @@ class Codec:
 
 LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
 PART = ".nut"  # suffix of a segment's file, a container for any encoder
+MOST_FACTOR = 51  # largest constant rate factor of 8 bits
 RAW_FRAME = b"FRAME\n"
 RAW = ".y4m"  # suffix of uncompressed videos
 LOSSLESS = ("level", "3"), ("slicecrc", "1")  # FFV1 with a checksum of each slice
@@ -195,7 +196,8 @@ class Encoder:
         quality: Constant rate factor. None: the encoder's default.
 
     Raises:
-        OutOfRange: If the codec cannot hold this size or has no quality.
+        OutOfRange: If the codec cannot hold this size, or for another quality than 0 .. MOST_FACTOR.
+        Conflict: If the codec has no quality.
     """
 
     def __init__(
@@ -218,6 +220,8 @@ class Encoder:
             is_raw = codec.encoder == "rawvideo"
             reason = "an uncompressed video has none" if is_raw else "ffv1 is lossless"
             raise Conflict("--quality", reason, "leave it out")
+        if quality is not None and quality > MOST_FACTOR:
+            raise OutOfRange("--quality of an encoded video", quality, f"0 .. {MOST_FACTOR}")
         self.codec, self.rate, self.shape = codec, rate, shape
         self._display, self._tone = display, tone
         self._threads = local()

@@ -27,7 +27,7 @@ from gpusim.domain.animation import Animation
 from gpusim.domain.camera import Camera
 from gpusim.domain.cores import count_cores
 from gpusim.domain.errors import BadFile, Conflict, OutOfRange
-from gpusim.io.frame.frames import JPEG, RAW_ARRAY, suffix_of
+from gpusim.io.frame.frames import LOSSY, RAW_ARRAY, suffix_of
 from gpusim.kernels.common.channels import put_channels_last
 from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.frame import Frame, Parts
@@ -38,7 +38,7 @@ READ, COMPUTED = 2, 3  # scenes and frames that are computed ahead
 HELD = 2**30  # [byte] of frames that wait for their encoders, at most
 THREADS = 4  # of an encoder; as many cores work for each segment that is encoded at the same time
 # the part of a frame that a file of this suffix holds, if it is one of OUTPUT_OF
-PART_OF = dict.fromkeys((".png", *JPEG), "rgb") | dict.fromkeys(
+PART_OF = dict.fromkeys((".png", *LOSSY), "rgb") | dict.fromkeys(
     (".tif", ".tiff", ".exr", ".npy"), "linear"
 )
 OUTPUT_OF = {"rgb": "codes", "linear": "linear", "raw": "raw"}
@@ -327,12 +327,13 @@ class NumberedFiles:
     Args:
         path: Path of the output; its suffix sets the format.
         count: Number of frames.
+        quality: Quality of files with loss. None: the default.
     """
 
     folders = ()
 
-    def __init__(self, path: Path, count: int):
-        self._path, self._count = path, count
+    def __init__(self, path: Path, count: int, quality: int | None = None):
+        self._path, self._count, self._quality = path, count, quality
 
     @property
     def words(self) -> str:
@@ -368,12 +369,13 @@ class NumberedFiles:
         parts = (PART_OF[suffix],) if suffix in PART_OF else PARTS_OF.get(suffix, ())
         made = ahead(make(missing, parts=parts, clock=clock), COMPUTED)
         with closing(clock.each("frames", made)) as computed:
-            written = in_pool(
-                computed, lambda one: one.values.save(self.name(one.number)), count_cores()
-            )
+            written = in_pool(computed, self._save, count_cores())
             with closing(written):
                 for one in written:
                     yield replace(one, values=None)
+
+    def _save(self, one: Made) -> None:
+        one.values.save(self.name(one.number), quality=self._quality)
 
 
 class EncodedFile:

@@ -11,17 +11,18 @@ from gpusim.io.archive import write_archive
 from gpusim.io.atomic import atomic_path
 from gpusim.io.exr import write_rgb_exr
 from gpusim.io.frame.dng import check_dng, check_readable, write_dng
-from gpusim.io.frame.images import write_jpeg, write_png, write_tiff
+from gpusim.io.frame.images import write_jpeg, write_png, write_tiff, write_webp
 
 # the first is the default
 BITS = {".png": (8, 16), ".tif": (16, 8, 32), ".tiff": (16, 8, 32), ".exr": (32, 16)}
 JPEG = (".jpg", ".jpeg")
-BITS |= dict.fromkeys(JPEG, (8,)) | {".npy": (32, 16, 8)}
+LOSSY = (*JPEG, ".webp")  # formats with a quality
+BITS |= dict.fromkeys(LOSSY, (8,)) | {".npy": (32, 16, 8)}
 LABEL = "label_"  # begins the keys of labels in archives
 RAW_ARRAY = ".raw.npy"
 WITHOUT_PICTURE = (".dng", ".npz", RAW_ARRAY)  # files that no setting of the picture changes
 FORMATS = (*BITS, *WITHOUT_PICTURE)
-QUALITY = 95  # of a JPEG
+QUALITY = 95  # of LOSSY formats
 
 
 def suffix_of(path) -> str:
@@ -41,14 +42,16 @@ def frame_format(path) -> str:
 def check_format(path, camera, bits=None, quality=None):
     """Raise OutOfRange unless the path's format can hold the camera's frames in these bits.
 
-    quality: of a .jpg, 1 .. 100. camera: with binning applied to its sensor. Raises UnknownName for an unknown suffix.
+    quality: of a format of LOSSY, 1 .. 100. camera: with binning applied to its sensor. Raises UnknownName
+    for an unknown suffix.
     """
     suffix = frame_format(path)
     if bits is not None and bits not in BITS.get(suffix, (bits,)):
         allowed = " or ".join(map(str, sorted(BITS[suffix])))
         raise OutOfRange(f"bits of a {suffix} output", bits, allowed)
-    if quality is not None and (suffix not in JPEG or quality not in range(1, 101)):
-        raise OutOfRange(f"quality of a {suffix} output", quality, "1 .. 100, for .jpg only")
+    if quality is not None and (suffix not in LOSSY or quality not in range(1, 101)):
+        allowed = "1 .. 100, for .jpg and .webp only"
+        raise OutOfRange(f"quality of a {suffix} output", quality, allowed)
     if suffix != ".dng":
         return
     sensor, table = camera.sensor, camera.processor.table
@@ -68,6 +71,7 @@ def write_frame(path, frame, bits=None, quality=None):
     - .tif: the same, 16 bits by default; 32 bits are linear display RGB as floats.
     - .exr: linear display RGB, floats of 32 bits or of 16, with the display's chromaticities.
     - .jpg: display codes of 8 bits with the display's profile, every pixel in colour.
+    - .webp: the same, colour of 2 x 2 pixels; without loss at quality 100.
     - .npy: linear display RGB, float32 (rows, cols, 3), or display codes of 16 or 8 bits; .raw.npy:
       digital numbers, as `dn` below.
     - .dng: digital numbers with the tags for raw converters, see `_write_raw`.
@@ -77,7 +81,7 @@ def write_frame(path, frame, bits=None, quality=None):
       has them, see `gpusim.carry_labels`.
 
     bits: bits of a sample, not used for .dng, .npz and .raw.npy; None is the first of BITS. quality:
-    of a .jpg, 1 .. 100; None is QUALITY. Raises UnknownName, BadFile, and OutOfRange if the format
+    of a format of LOSSY, 1 .. 100; None is QUALITY. Raises UnknownName, BadFile, and OutOfRange if the format
     cannot hold the frame.
     """
     check_format(path, frame.camera, bits, quality)
@@ -89,8 +93,9 @@ def write_frame(path, frame, bits=None, quality=None):
         write_tiff(path, frame.linear if bits == 32 else frame.codes(bits), display)
     elif suffix == ".exr":
         write_rgb_exr(path, frame.linear, half=bits == 16, display=display)
-    elif suffix in JPEG:
-        write_jpeg(path, frame.codes(8), display, quality or QUALITY)
+    elif suffix in LOSSY:
+        write = write_jpeg if suffix in JPEG else write_webp
+        write(path, frame.codes(8), display, quality or QUALITY)
     elif suffix in (".npy", RAW_ARRAY):
         array = frame.linear if bits == 32 else frame.codes(bits) if bits else frame.raw
         with atomic_path(path) as temporary, open(temporary, "wb") as file:

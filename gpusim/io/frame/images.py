@@ -1,4 +1,4 @@
-"""PNG, JPEG and TIFF pictures for display, tagged with their colour space."""
+"""PNG, JPEG, WebP and TIFF pictures for display, tagged with their colour space."""
 
 import io
 import struct
@@ -13,6 +13,8 @@ from gpusim.io.frame.icc import icc_profile
 from gpusim.io.png import Header, png
 
 LONGEST_JPEG = 65500  # pixels along an axis, of libjpeg
+LONGEST_WEBP = 16383  # of the format
+LOSSLESS = 100  # quality of a WebP without loss
 TIFF_KINDS = (np.uint8, np.uint16, np.float32)
 
 
@@ -84,20 +86,32 @@ def write_jpeg(path, codes, display=DISPLAYS["srgb"], quality: int = 95):
 
     Colour is not subsampled. quality: of libjpeg, 1 .. 100. Raises BadData and BadFile.
     """
+    _write_by_pillow(path, codes, display, "JPEG", LONGEST_JPEG, quality=quality, subsampling=0)
+
+
+def write_webp(path, codes, display=DISPLAYS["srgb"], quality: int = 95):
+    """Write a WebP, uint8 (rows, cols, 3), with the profile of the display that its codes are for.
+
+    A WebP with loss has one value of colour for 2 x 2 pixels. quality: of libwebp, 1 .. 99, or LOSSLESS. Raises
+    BadData and BadFile.
+    """
+    options = {"quality": quality, "lossless": quality == LOSSLESS}
+    _write_by_pillow(path, codes, display, "WebP", LONGEST_WEBP, **options)
+
+
+def _write_by_pillow(path, codes, display, kind, longest, **options):
+    """Write a picture by Pillow. longest: pixels along an axis. options: of the encoder. Raises BadData, BadFile."""
     from PIL import Image
 
     codes = np.ascontiguousarray(codes)
     is_shaped = codes.ndim == 3 and codes.shape[2] == 3 and 0 < codes.size
-    if codes.dtype != np.uint8 or not is_shaped or max(codes.shape) > LONGEST_JPEG:
+    if codes.dtype != np.uint8 or not is_shaped or max(codes.shape) > longest:
         raise BadData(
-            f"{path}: a JPEG needs uint8 of shape (rows, cols, 3), up to {LONGEST_JPEG} pixels along "
+            f"{path}: a {kind} needs uint8 of shape (rows, cols, 3), up to {longest} pixels along "
             f"an axis, got {codes.dtype} {codes.shape}"
         )
     file = io.BytesIO()
-    profile = icc_profile(display)
-    Image.fromarray(codes).save(
-        file, format="JPEG", quality=quality, subsampling=0, icc_profile=profile
-    )
+    Image.fromarray(codes).save(file, format=kind, icc_profile=icc_profile(display), **options)
     with atomic_path(path) as temporary:
         temporary.write_bytes(file.getvalue())
 
