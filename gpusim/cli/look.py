@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from gpusim.cli.options import (
     CAMERA_HELP,
+    DEVELOPING,
     SCENE_HELP,
     Request,
     option,
@@ -98,7 +99,8 @@ def _colors(request, plot):
     request.refuse(
         "band", "channels named by it are radiance in an unknown light, without true colours"
     )
-    simulator, scene, seed = request.open_unrendered(), request.open_shown(), request.seed
+    camera = request.open_camera(*LENS, *SENSOR, *DEVELOPING)
+    simulator, scene, seed = request.open_simulator(camera), request.open_shown(), request.seed
     return lambda: plot.colors(simulator(scene, seed=seed), scene)
 
 
@@ -109,7 +111,8 @@ def _error(request, plot):
 def _plan(request, plot):
     from gpusim.judge.plan_summary import Forecast
 
-    simulator, scene = request.open_unrendered(), request.open_shown()
+    camera = request.open_camera(*LENS, *SENSOR, "demosaic", "denoise")
+    simulator, scene = request.open_simulator(camera), request.open_shown()
     return lambda: plot.plan(Forecast.of(simulator, scene))
 
 

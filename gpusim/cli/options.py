@@ -9,7 +9,7 @@ import functools
 import json
 import math
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Self
@@ -36,7 +36,8 @@ SCENE_HELP = (
 )
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
-CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling")  # of a camera
+DEVELOPING = ("demosaic", "denoise", "white_balance")  # controls of how a picture is developed
+CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling", *DEVELOPING)  # of a camera
 SCENE_OPTIONS = (
     "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection part layer view key "
     "band"
@@ -322,6 +323,24 @@ class Request(Options):
         help="brightness of the picture. exposure: a longer exposure is brighter and may clip; "
         "normalised: a white surface is white (default: the camera's)",
     )
+    demosaic: str | None = option(
+        in_key=False,
+        metavar="NAME",
+        help="method of demosaicking, such as bilinear, adaptive or best (default: the camera's)",
+    )
+    denoise: float | None = option(
+        type=number("a number, 0 .. 4", lambda value: 0 <= value <= 4),
+        in_key=False,
+        metavar="STRENGTH",
+        help="strength of denoising, 0 (none) .. 4; 1 follows the noise model (default: the "
+        "camera's)",
+    )
+    white_balance: str | None = option(
+        in_key=False,
+        metavar="NAME",
+        help="white balance: illuminant (the light is known), none, or an estimate, such as "
+        "gray-world (default: the camera's)",
+    )
     band: list[str] | tuple = option(
         default=(),
         action="append",
@@ -379,6 +398,20 @@ class Request(Options):
     view: str | None = option(
         metavar="NAME", help="view of a stereo .exr, such as right (default: the file's first)"
     )
+
+    def refuse_picture(
+        self, reason: str, remedy: str = "leave it out", suffixes: Iterable[str] = ()
+    ) -> None:
+        """Raise Conflict if an option was given that only a picture depends on.
+
+        Args:
+            reason: As for `refuse`.
+            remedy: As for `refuse`.
+            suffixes: Formats of the outputs. A .dng holds the white balance.
+        """
+        for name in ("scaling", *DEVELOPING):
+            if name != "white_balance" or ".dng" not in suffixes:
+                self.refuse(name, reason, remedy)
 
     def open_scene(
         self, name: str | None = None, unused: tuple[str, ...] = (), **changes: Any

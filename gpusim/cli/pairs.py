@@ -94,9 +94,7 @@ class PairsRequest(Request):
             if name in dict(self.vary.ranges):
                 self.refuse(name, f"--vary {name} draws it for each pair", "give only one of them")
         if not self.pictures:
-            self.refuse(
-                "scaling", "raw values have no picture that it could scale", "add --pictures"
-            )
+            self.refuse_picture("no picture is made of the raw values", "add --pictures")
 
 
 def pairs(request: PairsRequest) -> int:

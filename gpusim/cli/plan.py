@@ -16,7 +16,10 @@ TEXTS = {
 class PlanRequest(Request):
     """Options of `gpusim plan`."""
 
-    REFUSED: ClassVar = {"scaling": "a plan does not depend on the brightness of the picture"}
+    REFUSED: ClassVar = {
+        "scaling": "a plan does not depend on the brightness of the picture",
+        "white_balance": "a plan does not depend on the white of the picture",
+    }
 
     json: str | None = option(metavar="FILE", help="also write the plan to a JSON file")
 

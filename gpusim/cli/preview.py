@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, ClassVar
 from gpusim.apps.preview.guard import LOOPBACK
 from gpusim.cli.captures import capture_option
 from gpusim.cli.moving import MovingRequest
-from gpusim.cli.options import option, whole
+from gpusim.cli.options import DEVELOPING, option, whole
 from gpusim.domain.errors import Missing, OutOfRange, UnknownName
 
 if TYPE_CHECKING:  # the command line starts without them
@@ -45,6 +45,7 @@ class PreviewRequest(MovingRequest):
             "optics.f_number": self.f_number,
             "optics.object_distance_m": self.focus,
             "processor.scaling": self.scaling,
+            **{f"processor.{name}": getattr(self, name) for name in DEVELOPING},
             "sensor.exposure_time_ms": self.exposure,
         }
         if isinstance(self.exposure, int | float):

@@ -89,13 +89,14 @@ class SimulateRequest(Request):
 
         outputs = [_number_files(path, self.count) for path in self.out]
         first = [output(0) for output in outputs]
+        suffixes = {frame_format(path) for path in first}
         if not self.out:
             self.refuse("bits", "no file is written", "add -o OUT")
-        if not any(frame_format(path) in LOSSY for path in first):
+        if suffixes.isdisjoint(LOSSY):
             self.refuse("quality", "no .jpg or .webp is written", "add -o OUT.jpg")
-        if all(frame_format(path) in WITHOUT_PICTURE for path in first):
+        if suffixes <= {*WITHOUT_PICTURE}:
             self.refuse("bits", "these files have one format of numbers")
-            self.refuse("scaling", "no picture is written", "add -o with .png, .tif or .exr")
+            self.refuse_picture("no picture is written", "add -o with .png, .tif or .exr", suffixes)
         folder = functools.cache(os.path.realpath)
 
         def place(path):

@@ -176,7 +176,8 @@ class VideoRequest(MovingRequest):
                 self.refuse("quality", f"only {', '.join((*ENCODED, *LOSSY))} files have one")
         has_picture = self.lerobot is not None or self.suffix not in WITHOUT_PICTURE
         if not has_picture or self.codec == "ffv1-raw":
-            self.refuse("scaling", "the output holds raw values, not a picture")
+            words = "the output holds raw values, not a picture"
+            self.refuse_picture(words, suffixes=(self.suffix,))
 
     def check_scenes(self, scenes: "Scenes") -> None:
         """Raise Conflict for options that have no effect on these scenes."""

@@ -132,6 +132,9 @@ def operate_camera(
     f_number: float | None = None,
     focus: float | None = None,
     scaling: str | None = None,
+    demosaic: str | None = None,
+    denoise: float | None = None,
+    white_balance: str | None = None,
 ) -> Camera:
     """Return the camera with other settings of its controls; None leaves a setting as it is.
 
@@ -142,6 +145,9 @@ def operate_camera(
         f_number: F-number [1].
         focus: Distance of the plane in focus [m].
         scaling: See `Processor`.
+        demosaic: See `Processor`. The camera's table goes, unless it is "learned".
+        denoise: See `Processor`.
+        white_balance: See `Processor`. The camera's preset white goes, unless it is "preset".
 
     Returns:
         The camera with these settings.
@@ -149,7 +155,8 @@ def operate_camera(
     Raises:
         BadData: f_number or focus for a lens of measured point spreads, or a sensor without ISO
             speed.
-        OutOfRange: A setting is outside its range.
+        OutOfRange: A setting is outside its range, or does not suit the camera.
+        UnknownName: The name of a method is not known.
     """
     optics, sensor, processor = camera.optics, camera.sensor, camera.processor
     if exposure is not None:
@@ -167,6 +174,12 @@ def operate_camera(
             "--f-number, --focus: the camera's point spreads are measured, at one f-number and focus; wanted "
             "neither, or a camera without [optics] psf"
         )
-    if scaling is not None:
-        processor = replace(processor, scaling=scaling)
+    picture: dict[str, Any] = {"scaling": scaling, "demosaic": demosaic, "denoise": denoise}
+    picture["white_balance"] = white_balance
+    picture = {key: value for key, value in picture.items() if value is not None}
+    if picture.get("demosaic", "learned") != "learned":
+        picture["table"] = None
+    if picture.get("white_balance", "preset") != "preset":
+        picture["white"] = ()
+    processor = replace(processor, **picture)
     return replace(camera, optics=replace(optics, **lens), sensor=sensor, processor=processor)

@@ -26,7 +26,10 @@ import gpusim as gs
 from gpusim.bench.result import LIMITS
 from gpusim.cli.look import PANELS
 from gpusim.cli.main import COMMANDS, main
+from gpusim.cli.options import DEVELOPING
+from gpusim.color.speed import operate_camera
 from gpusim.domain.digest import digest
+from gpusim.io.camera.learned import bayer_table
 
 TIMES = re.compile(r"[0-9.e+-]+ (ms|s|pairs/s|frames/s)\b")
 ON = "--camera phone --device numpy"
@@ -54,6 +57,9 @@ SCENE = {
     "f_number": (CHART, "--f-number 8"),
     "focus": (CHART, "--focus 0.3"),
     "scaling": (f"{CHART} --exposure 1/500", "--scaling normalised"),
+    "demosaic": (CHART, "--demosaic bilinear"),
+    "denoise": (CHART, "--denoise 2"),
+    "white_balance": (f"{CHART} --light A", "--white-balance none"),
     "band": (f"named.exr {ON} --band green=540", "--band red=630"),
     "wavelengths": (PLANES, "--wavelengths 460,560,660"),
     "kind": (PLANES, "--kind radiance"),
@@ -114,6 +120,9 @@ ROWS = {
     "video": after(SCENE | MOVING, "-o out.npz")
     | {
         "scaling": (f"{CHART} --exposure 1/500 -o out.png", "--scaling normalised"),
+        "demosaic": (f"{CHART} -o out.webp", "--demosaic bilinear"),
+        "denoise": (f"{CHART} -o out.png", "--denoise 2"),
+        "white_balance": (f"{CHART} --light A -o out.dng", "--white-balance none"),
         "out": (f"{CHART} -o out.npz", "-o out.png"),
         "lerobot": (f"{CHART} -o folder.png", "--lerobot look"),
         "seed": (f"{CHART} -o out.npz", "--seed 5"),
@@ -131,6 +140,9 @@ ROWS = {
     "pairs": after(SCENE, "-o out")
     | {
         "scaling": (f"{CHART} --exposure 1/500 --pictures -o out", "--scaling normalised"),
+        "demosaic": (f"{CHART} --pictures -o out", "--demosaic bilinear"),
+        "denoise": (f"{CHART} --pictures -o out", "--denoise 2"),
+        "white_balance": (f"{CHART} --light A --pictures -o out", "--white-balance none"),
         "out": (f"{CHART} -o out", "-o other"),
         "vary": (f"{CHART} -o out", "--vary exposure=1/200..1/20"),
         "each": (f"{CHART} -o out", "--each 2"),
@@ -483,7 +495,10 @@ def record(monkeypatch):
 
 
 REFUSED = {
-    "plan": {"scaling": (CHART, "--scaling normalised")},
+    "plan": {
+        "scaling": (CHART, "--scaling normalised"),
+        "white_balance": (CHART, "--white-balance none"),
+    },
     "preview": {
         "iso": (CHART, "--iso 400"),
         "guaranteed": (f"{CHART} --tolerance 1e-2", "--guaranteed"),
@@ -497,7 +512,11 @@ CONFLICTS = [  # a command line and the option that has no effect in it
     ("simulate", f"{CHART} -o out.npz", "--bits 16"),
     ("simulate", f"{CHART} -o out.dng", "--scaling normalised"),
     ("simulate", CHART, "--scaling normalised"),
+    ("simulate", f"{CHART} -o out.dng", "--demosaic best"),
+    ("simulate", f"{CHART} -o out.raw.npy", "--white-balance none"),
     ("video", f"{PHOTO} -o out.npz", "--scaling normalised"),
+    ("video", f"{PHOTO} -o out.dng", "--denoise 1"),
+    ("pairs", f"{CHART} -o out", "--white-balance none"),
     ("video", f"{PHOTO} -o out.mkv --codec ffv1-raw", "--scaling normalised"),
     ("video", f"{PHOTO} -o out.png", "--blur"),
     ("video", f"{PHOTO} -o out.png --zoom 2", "--blur"),
@@ -574,6 +593,7 @@ def test_every_option_has_a_row():
 
 # In a manifest separately (camera, device, files, codec, task), or without an effect on any frame
 RECORDED = set("scene camera device exposure iso f_number focus scaling out shard strict".split())
+RECORDED |= {*DEVELOPING}
 RECORDED_BY = {
     "video": {"frames", "any_order", "codec", "quality", "lerobot"},
     "pairs": {"vary", "jobs"},
@@ -642,14 +662,14 @@ USED = {
     "mtf": OF_LENS | {"of", "camera"},
     "camera": OF_LENS | {"iso", "camera"},
     "raw": OF_FRAME,
-    "picture": OF_FRAME | {"scaling"},
+    "picture": OF_FRAME | {"scaling", *DEVELOPING},
     "noise": OF_FRAME,
     "ptc": {"iso", "seed", "device", "camera"},
     "snr": {"exposure", "iso", "light", "camera"},
     "sfr": OF_FRAME,
-    "colors": OF_FRAME - {"band"},
+    "colors": OF_FRAME - {"band"} | {*DEVELOPING},
     "error": OF_FRAME - {"seed"},
-    "plan": OF_FRAME - {"seed"},
+    "plan": OF_FRAME - {"seed"} | {"demosaic", "denoise"},
 }
 OWN = {
     "seed": (CHART, "--seed 5"),
@@ -728,3 +748,46 @@ def test_commands_make_the_folder_of_their_output(command, made, inputs, tmp_pat
     assert main(shlex.split(command.replace("DIR", str(folder)))) == 0
     found = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
     assert found >= made
+
+
+# ---- the processor's controls
+
+
+def test_controls_of_the_processor_are_settings_of_the_camera(inputs, outcome):
+    """The pictures are those of a camera file with these keys, its preset white and table left out."""
+    preset = gs.open_camera("phone").with_(
+        white_balance="preset", **{"processor.white": [0.5, 1.0, 0.7]}
+    )
+    learned = preset.with_(demosaic="learned", table=bayer_table())
+    assert preset.processor.white and learned.processor.table
+    assert operate_camera(learned, demosaic="learned") == learned
+    assert operate_camera(learned, demosaic="best").processor == replace(
+        preset.processor, demosaic="best"
+    )
+    changed = operate_camera(preset, white_balance="gray-world", denoise=1.5, demosaic="malvar")
+    keys = {"white_balance": "gray-world", "denoise": 1.5, "demosaic": "malvar"}
+    assert changed.processor == gs.open_camera("phone").with_(**keys).processor
+    lines = ['base = "phone"', "[processor]", *(f"{key} = {keys[key]!r}" for key in keys)]
+    (inputs / "own.toml").write_text("\n".join(lines))
+    options = "--white-balance gray-world --denoise 1.5 --demosaic malvar -o out.png"
+    by_option = outcome("simulate", f"{CHART} {options}")[3]
+    by_file = outcome("simulate", f"{CHART.replace('phone', 'own.toml')} -o out.png")[3]
+    assert by_option == by_file and by_option
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        ("--demosaic cubic", "unknown processor.demosaic"),
+        ("--white-balance grey", "unknown processor.white_balance"),
+        ("--white-balance preset", "processor.white = []: allowed is camera values of white"),
+    ],
+)
+def test_wrong_values_are_refused_as_in_camera_files(option, words, outcome):
+    for command in ("simulate", "video", "pairs --pictures"):
+        command, *more = command.split()
+        status, said, error, files = outcome(
+            command, f"{CHART} {' '.join(more)} -o out.png {option}"
+        )
+        assert (status, said, files) == (2, "", {})
+        assert words in error and error.count("\n") == 1

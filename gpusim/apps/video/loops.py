@@ -78,7 +78,7 @@ class Lags:
             estimates = [
                 name for name in WHITE_BALANCES if name not in ("illuminant", "preset", "none")
             ]
-            remedy = f"set white_balance in the camera file to one of {', '.join(estimates)}"
+            remedy = f"set white_balance or --white-balance to one of {', '.join(estimates)}"
             raise Conflict("--lag white", "the processor does not estimate the white", remedy)
 
 
