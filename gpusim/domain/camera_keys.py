@@ -118,6 +118,15 @@ def _table(cls, known):
     return read
 
 
+def _tone(value):
+    if type(value) is str:
+        return value
+    try:
+        return _pairs()(value)
+    except _Wanted:
+        raise _Wanted("a list of pairs of numbers, or the name of a tone curve") from None
+
+
 _pupil = _table(
     Pupil,
     {
@@ -335,7 +344,7 @@ _PROCESSOR = {
     "table": ("table", _text),
     "network": ("network", _text),
     "white": ("white", _numbers()),
-    "tone": ("tone", _pairs()),
+    "tone": ("tone", _tone),
 }
 _DISPLAY = {
     "primaries": ("primaries", _pairs(3)),

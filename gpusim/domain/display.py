@@ -17,6 +17,7 @@ from gpusim.domain.errors import (
 )
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
+from gpusim.domain.tone import NO_TONE, TONES
 
 EXPONENT = {"curve": Limits('"srgb" or the exponent of a power law, 1 .. 4', Interval(1, 4))}
 LUMINANCE = {"luminance": within("0 < luminance <= 1e6", "cd m-2")}
@@ -192,7 +193,7 @@ DISPLAYS = {"srgb": Display(), "display-p3": Display("display-p3", P3_PRIMARIES)
 STEPS = 60  # bisection steps: enough for float64
 
 
-def decoding(display: Display, tone: tuple = ()):
+def decoding(display: Display, tone: tuple | str = ()):
     """Return the function from codes to the linear light before the tone curve.
 
     Args:
@@ -205,8 +206,10 @@ def decoding(display: Display, tone: tuple = ()):
     Raises:
         BadData: The cubic between the nodes of the tone curve overflows.
     """
-    if not tone:
+    if not tone or tone == NO_TONE:
         return display.decode
+    if isinstance(tone, str):
+        return lambda codes: TONES[tone].undo(display.decode(np.asarray(codes, np.float64)))
     # monotone: Fritsch & Carlson 1980, SIAM J. Numer. Anal. 17, 238
     from scipy.interpolate import PchipInterpolator
 

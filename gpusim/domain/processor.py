@@ -9,6 +9,7 @@ from gpusim.domain.learned import FilterTable
 from gpusim.domain.mosaics import bayer_phase
 from gpusim.domain.network import Network, is_served
 from gpusim.domain.short_repr import short_repr
+from gpusim.domain.tone import NO_TONE, TONES
 
 DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned", "network")
@@ -107,9 +108,10 @@ class Processor:
             puts white, `AutoExposure.white`; longer exposures are brighter and clip) or
             "normalised" (a perfect white diffuser at any exposure; saturation if the light of the
             scene is not known).
-        tone: Tone curve, (x, y) of two or more nodes, both increasing, or () for none. x is a
-            linear value (white = 1) encoded as sRGB; y is the displayed value, encoded the same
-            way, from 0 to 1. Between nodes it is a monotone cubic.
+        tone: Tone curve: a name of `gpusim.domain.tone.TONES`, () or "none" for none, or (x, y) of
+            two or more nodes, both increasing. x is a linear value (white = 1) encoded as sRGB; y
+            is the displayed value, encoded the same way, from 0 to 1. Between nodes it is a
+            monotone cubic.
         white: Camera values of white for white balance "preset", one per channel, any scale.
 
     Raises:
@@ -129,7 +131,7 @@ class Processor:
     training: str = "objects"
     target: str = "D65"
     scaling: str = "exposure"
-    tone: tuple = ()
+    tone: tuple | str = ()
     white: tuple[float, ...] = ()
 
     __repr__ = short_repr
@@ -149,7 +151,12 @@ class Processor:
                 f'only with demosaic = "network", not "{self.demosaic}"',
             )
         self._check_white()
-        if self.tone:
+        self._check_tone()
+
+    def _check_tone(self):
+        if isinstance(self.tone, str):
+            check_known("processor.tone", self.tone, (NO_TONE, *TONES))
+        elif self.tone:
             try:
                 nodes = np.asarray(self.tone, np.float64)
             except (TypeError, ValueError):

@@ -14,6 +14,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display, decoding
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
+from gpusim.domain.tone import NO_TONE, TONES
 from gpusim.kernels.display.encode import encode, thresholds
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.best import best
@@ -52,6 +53,13 @@ class _Numbers:
         span = (CORRECTED_WHITE - CORRECTED_BLACK) * self.scale
         scale = 1 / (CORRECTED_WHITE - CORRECTED_BLACK)
         return _Numbers(CORRECTED_BLACK, scale, (gain * span, dark * span))
+
+
+def describe_tone(tone) -> str:
+    """Return the end of the report's line of the encoding: the tone curve in words, "" without one."""
+    if not tone or tone == NO_TONE:
+        return ""
+    return f", tone: {TONES[tone].words}" if isinstance(tone, str) else ", with a tone curve"
 
 
 def edges_of(display: Display, tone) -> np.ndarray:
@@ -136,11 +144,10 @@ class Developer:
         )
         steps += chain.end()
         chain = Chain("linear", "codes", Rate.FRAME, device)
-        tone = ", with a tone curve" if processor.tone else ""
         chain.add(
             "display.encode",
             {"thresholds": self._edges},
-            words=f"{camera.display.name}, 8 bit{tone}",
+            words=f"{camera.display.name}, 8 bit{describe_tone(processor.tone)}",
             nbytes=3 * area,
             work=float(pixels),
         )

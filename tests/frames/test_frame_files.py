@@ -23,7 +23,9 @@ def openimageio(path, kind):
 
 @pytest.mark.parametrize("display", ["srgb", "display-p3", "crt-dell"])
 @pytest.mark.parametrize(
-    "tone", [(), ((0, 0), (0.25, 0.2), (0.75, 0.85), (1, 1))], ids=["plain", "tone"]
+    "tone",
+    [(), ((0, 0), (0.25, 0.2), (0.75, 0.85), (1, 1)), "sigmoid"],
+    ids=["plain", "tone", "named"],
 )
 def test_16_bits_are_the_8_bits_and_what_lies_between(tmp_path, display, tone):
     """Both round to the nearest: a code of 8 bits is at most half its step, and half a fine one, from that of 16."""

@@ -398,7 +398,8 @@ def test_processor_names(key):
         ({"tone": ((0, 0), (0.5, 1.2), (1, 1))}, BadData, "increase"),
         ({"tone": ((-1, 0), (1, 1))}, BadData, "x from 0"),
         ({"tone": ((0, 0), (float("inf"), 1))}, BadData, "finite"),
-        ({"tone": "ab"}, BadData, "two or more"),
+        ({"tone": "filmic"}, UnknownName, "reinhard"),
+        ({"tone": 7}, BadData, "two or more"),
         ({"tone": ((0, 0), (1, "x"))}, BadData, "two or more"),
         ({"tone": ((0, 0), (1,))}, BadData, "two or more"),
         ({"tone": ((0, 0), (1e4, 1))}, BadData, "at most 1000"),
@@ -1053,7 +1054,7 @@ def test_efficiency_from_csv(tmp_path):
         ("bits = 10", "bits = 10\n[display]\ncurve = 'gamma'", "an exponent"),
         ("bits = 10", "bits = 10\n[display]\nprimaries = [[0.6, 0.3]]", "a list of 3 pairs"),
         ("bits = 10", "bits = 10\n[processor]\ntarget = 'D67'", "unknown light"),
-        ("bits = 10", "bits = 10\n[processor]\ntone = [1, 2]", "a list of the pairs|2 numbers"),
+        ("bits = 10", "bits = 10\n[processor]\ntone = [1, 2]", "or the name of a tone curve"),
     ],
 )
 def test_bad_file_is_refused_by_file_and_key(tmp_path, old, new, words):

@@ -9,6 +9,7 @@ from gpusim.data.lights import illuminant
 from gpusim.domain.display import DISPLAYS, Display, decoding
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons
+from gpusim.domain.tone import TONES
 
 CODES = np.arange(256) / 255
 
@@ -154,6 +155,37 @@ def test_steep_and_long_tone_curves_give_light_that_rises(tone):
 def test_a_tone_curve_beyond_float64_is_named(tone):
     with pytest.raises(BadData, match=r"processor\.tone"):
         decoding(Display(), tone)
+
+
+def _published(name, light):
+    """The curve as its paper has it, with the constants that the package names."""
+    if name == "reinhard":  # equation 4, of twice the light, L_white = 2
+        scaled = 2 * light
+        return scaled * (1 + scaled / 2**2) / (1 + scaled)
+    if name == "sigmoid":  # V / V_max = I^n / (I^n + s^n), over that of white
+        power, half = light**1.4, (0.55 ** (1 / 1.4)) ** 1.4
+        return power / (power + half) / (1 / (1 + half))
+    return np.log(5 * light + 1) / np.log(5 + 1)  # equation 1, L_max = 5
+
+
+@pytest.mark.parametrize("name", ["reinhard", "sigmoid", "logarithmic"])
+@pytest.mark.parametrize("display", [Display(), Display(curve=2.2)])
+def test_tone_curves_by_name_are_those_of_their_papers(name, display):
+    """The light at which a code begins is shown with that code: float64, few roundings, condition below 10.
+
+    The logarithm of 1 + x loses 2^-53 of 1, over log 6.
+    """
+    light = decoding(display, name)(CODES)
+    np.testing.assert_allclose(
+        _published(name, light), display.decode(CODES), rtol=1e-13, atol=2**-53
+    )
+    assert light[0] == 0 and light[-1] == pytest.approx(1, rel=1e-14)
+    assert (np.diff(light) > 0).all()
+
+
+def test_every_tone_curve_has_a_test_and_none_is_none():
+    assert {*TONES} == {"reinhard", "sigmoid", "logarithmic"}
+    np.testing.assert_array_equal(decoding(Display(), "none")(CODES), Display().decode(CODES))
 
 
 def test_white_of_d65_is_the_srgb_display_s():

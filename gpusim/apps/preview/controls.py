@@ -12,6 +12,7 @@ from gpusim.domain.key_words import AUTO, default_of, describe_wanted, unit_of
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.optics import MODELS
 from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_BALANCES
+from gpusim.domain.tone import TONES as TONES_BY_NAME
 
 OWN = "the scene's"  # light
 LIGHTS = (
@@ -35,6 +36,7 @@ TONES = {
     "contrast": [[0, 0], [0.25, 0.2], [0.75, 0.82], [1, 1]],
     "shadows": [[0, 0], [0.1, 0.17], [0.3, 0.4], [1, 1]],
     "highlights": [[0, 0], [0.5, 0.5], [0.8, 0.72], [1, 0.9], [2, 1]],
+    **{name: name for name in TONES_BY_NAME},
 }
 VIEWS = ("rendered", "raw", "electrons", "noise", "scene", "irradiance")
 

@@ -206,7 +206,7 @@ class Encoder:
         shape,
         rate: Fraction,
         display: Display,
-        tone: tuple = (),
+        tone: tuple | str = (),
         quality: float | None = None,
     ):
         rows, cols = shape
