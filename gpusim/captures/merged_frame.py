@@ -10,6 +10,7 @@ from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.simulator import Simulator
 
+COLOURS = "processor.color", "processor.sharpen", "display.encode"  # stages behind the demosaicking
 PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
 FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
 COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
@@ -93,7 +94,8 @@ def develop_merged(
             white=rendering.white / k,
             saturation=saturated,
         )
-        linear, rgb = host_pictures(device, developer, developer.apply_color(planes, rescaled))
+        shown = developer.sharpen(developer.apply_color(planes, rescaled), rescaled, frame.kernel)
+        linear, rgb = host_pictures(device, developer, shown)
     first = {}
     if defects != "none":
         replacing = dataclasses.replace(processor, defects=defects)
@@ -116,6 +118,7 @@ def develop_merged(
         frame.blur,
         shading,
         averaged=None,
+        kernel=frame.kernel,
     )
 
 
@@ -134,9 +137,13 @@ def _replace_stages(report, processing, ms):
     after = [
         dataclasses.replace(stage, ms=ms.get(stage.stage, 0.0))
         for stage in report.stages
-        if stage.stage in ("processor.color", "display.encode")
+        if stage.stage in COLOURS
     ]
-    stages = [StageReport(name, model, ms.get(name, 0.0)) for name, model in processing.items()]
+    stages = [
+        StageReport(name, model, ms.get(name, 0.0))
+        for name, model in processing.items()
+        if name not in COLOURS
+    ]
     return dataclasses.replace(report, stages=[*before, *stages, *after])
 
 

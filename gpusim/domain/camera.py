@@ -125,6 +125,7 @@ class Camera(Tabled):
             and processor.defects == "none"
             and not processor.denoise
             and not processor.shading
+            and not processor.sharpen
             and not processor.estimates_white
         )
 

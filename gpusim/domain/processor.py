@@ -44,6 +44,7 @@ LIMITS = {
     "table": Limits("a FilterTable, see `gpusim.io.camera.learned.read_table`", kind=FilterTable),
     "network": Limits("a Network, see `gpusim.io.camera.network.read_network`", kind=Network),
     "denoise": Limits("0 (none) .. 4", Interval(0, 4)),
+    "sharpen": Limits("0 (none) .. 2", Interval(0, 2)),
 }
 BRIGHTEST = 1e3  # largest input of a tone curve, encoded
 
@@ -112,6 +113,8 @@ class Processor:
             two or more nodes, both increasing. x is a linear value (white = 1) encoded as sRGB; y
             is the displayed value, encoded the same way, from 0 to 1. Between nodes it is a
             monotone cubic.
+        sharpen: Strength of sharpening by the camera's own blur, 0 (none) .. 2, where luminance stands
+            out of the noise; 1 takes contrast H to H (2 - H), see `processor.sharpen`.
         white: Camera values of white for white balance "preset", one per channel, any scale.
 
     Raises:
@@ -132,6 +135,7 @@ class Processor:
     target: str = "D65"
     scaling: str = "exposure"
     tone: tuple | str = ()
+    sharpen: float = 0.0
     white: tuple[float, ...] = ()
 
     __repr__ = short_repr

@@ -31,11 +31,13 @@ from gpusim.kernels.processor.malvar import malvar
 from gpusim.kernels.processor.network import network
 from gpusim.kernels.processor.quantise import quantise
 from gpusim.kernels.processor.shade import shade
+from gpusim.kernels.processor.sharpen import detail_gain, sharpen
 from gpusim.kernels.processor.thumbnail import thumbnail
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
+SHARPENED = 3.0  # [sigma] of noise at which half of a detail's sharpening is left
 CLIPPED = 0.95  # share of saturation: values interpolated next to a clipped pixel lie just below it
 
 
@@ -110,8 +112,9 @@ class Developer:
     def steps(self, shape: tuple[int, int]) -> list[Step]:
         """Return the steps from "raw" to display codes.
 
-        They use the values "rendering", "shading" (gains), "blur" (of the lens [pixel]) and "defects" (a map). They
-        make "camera" (camera values of every pixel, (C, rows, cols)), "linear" (display RGB) and "codes".
+        They use the values "rendering", "shading" (gains), "blur" (of the lens [pixel]), "kernel" (of
+        the camera's blur) and "defects" (a map). They make "camera" (camera values of every pixel,
+        (C, rows, cols)), "linear" (display RGB) and "codes".
 
         Args:
             shape: Shape of the raw values, layers of stacked pixels below each other.
@@ -142,6 +145,17 @@ class Developer:
             nbytes=12 * area,
             work=float(pixels),
         )
+        if processor.sharpen:
+            chain.add(
+                "processor.sharpen",
+                self._sharpening,
+                "colors",
+                "kernel",
+                run=sharpen_picture,
+                words=f"luminance by the camera's own blur, strength {processor.sharpen:g}",
+                nbytes=16 * area,
+                work=float(pixels),
+            )
         steps += chain.end()
         chain = Chain("linear", "codes", Rate.FRAME, device)
         chain.add(
@@ -370,6 +384,31 @@ class Developer:
         """Return linear display RGB (3, rows, cols), before the tone curve."""
         return apply_colors(planes, colors_of(rendering), device=self.device)
 
+    def sharpen(self, linear_rgb, rendering: Rendering, kernel: np.ndarray | None) -> Any:
+        """Return linear display RGB sharpened as the camera does; the same without sharpening.
+
+        Args:
+            linear_rgb: Linear display RGB, (3, rows, cols).
+            rendering: Conversion that made it from camera values.
+            kernel: The camera's own blur, see `processor.sharpen`; None: nothing is blurred.
+        """
+        if not self.camera.processor.sharpen:
+            return linear_rgb
+        colors, constants = colors_of(rendering), self._sharpening
+        return sharpen_picture(linear_rgb, colors, kernel, **constants, device=self.device)
+
+    @property
+    def _sharpening(self) -> dict:
+        """Constants of `sharpen_picture`."""
+        sensor = self.camera.sensor
+        gain, dark = self.noise
+        scale = 1 / (sensor.white_level - sensor.dark_level)
+        return {
+            "strength": self.camera.processor.sharpen,
+            "luminance": self.camera.display.xyz_from_rgb[1],
+            "noise": (gain * scale, dark * scale),
+        }
+
     def encode(self, linear_rgb) -> Any:
         """Return display codes (rows, cols, 3) of linear display RGB."""
         return encode(linear_rgb, self._edges, device=self.device)
@@ -458,6 +497,21 @@ def apply_colors(planes, colors, *, device) -> Any:
     """Return linear display RGB (3, rows, cols) of camera values, before the tone curve."""
     matrix, ceiling = colors
     return color(planes, device.array(matrix), ceiling=ceiling, device=device)
+
+
+def sharpen_picture(linear_rgb, colors, kernel, *, strength, luminance, noise, device) -> Any:
+    """Return linear display RGB, sharpened by the camera's own blur where its noise allows it.
+
+    kernel: as for `Developer.sharpen`. noise: of camera values: variance per value, and deviation without light.
+    """
+    if kernel is None:
+        return linear_rgb
+    matrix = np.asarray(colors[0], np.float64)
+    weights = luminance @ matrix  # of camera values in the luminance
+    grey = np.maximum(np.linalg.pinv(matrix) @ np.ones(3), 0)  # camera values of display white
+    variances = np.array([noise[0] * weights**2 @ grey, noise[1] ** 2 * weights @ weights])
+    halved = SHARPENED**2 * detail_gain(kernel) * variances
+    return sharpen(linear_rgb, kernel, luminance, halved, strength=strength, device=device)
 
 
 def develop_at_once(raw, colors, edges, *, device, **constants) -> Any:

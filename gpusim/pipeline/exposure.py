@@ -58,7 +58,9 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
         "cache": simulator.cache,
     }
     scaling = {"scaling": processor.scaling, "pixels": readout.pixels}
-    blurred = {"plan": plan, "tables": imaging.tables} if processor.demosaic == "best" else {}
+    of_lens = {"plan": plan, "tables": imaging.tables}
+    blurred = of_lens if processor.demosaic == "best" else {}
+    sharpened = of_lens if processor.sharpen else {}
     steps = [
         *imaging.steps(plan),
         *metering_steps(plan, sensor, readout),
@@ -80,6 +82,14 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
             blurred,
             rate=Rate.EXPOSURE,
             run=LensTables.deviation_of if blurred else return_none,
+        ),
+        Step(
+            "kernel",
+            "",
+            (),
+            sharpened,
+            rate=Rate.EXPOSURE,
+            run=LensTables.kernel_of if sharpened else return_none,
         ),
         Step(
             "mean of pixels",
@@ -176,6 +186,7 @@ class Exposure:
         wall_ms: Milliseconds in all, planning included.
         is_rewritten: True if a loop will write to these arrays again.
         brightness: Factor on the light of the plan's scene [1].
+        kernel: The camera's own blur, if its processor sharpens, see `processor.sharpen`.
     """
 
     plan: Plan
@@ -192,6 +203,7 @@ class Exposure:
     wall_ms: float = 0.0
     is_rewritten: bool = False
     brightness: float = 1.0
+    kernel: np.ndarray | None = None
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.mean, dtype, copy=copy)
@@ -315,6 +327,7 @@ class Exposure:
             rendering=self.rendering,
             shading=self.shading,
             blur=self.blur,
+            kernel=self.kernel,
             sensor=camera.sensor,
         )
         values.set_numbers(
@@ -375,6 +388,7 @@ def expose_values(
         values["shading"],
         is_rewritten=is_rewritten,
         brightness=brightness,
+        kernel=values["kernel"],
     )
 
 
@@ -460,6 +474,7 @@ def make_frame(
         shading=None if exposure.shading is None else np.array(exposure.shading),
         averaged=exposure.simulator.readout.averaged,
         full=shot if exposure.simulator.readout.averaged > 1 else None,
+        kernel=exposure.kernel,
     )
     return frame.complete() if exposure.is_rewritten else frame
 

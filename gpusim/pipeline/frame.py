@@ -73,6 +73,7 @@ class Frame(Pictured):
             whose noise does not follow from one gain.
         full: Raw values of which a pixel was full before it was averaged, bool, the shape of `raw`; None: none is
             averaged, or it is not known.
+        kernel: The camera's own blur, if its processor sharpens, see `processor.sharpen`.
     """
 
     camera: Camera
@@ -88,6 +89,7 @@ class Frame(Pictured):
     shading: np.ndarray | None = None
     averaged: int | None = 1
     full: _Made[np.ndarray | None] = _Made(None)
+    kernel: np.ndarray | None = None
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
         return np.array(self.rgb, dtype, copy=copy)

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from gpusim.domain.pupil import Wavefront
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.near import near
 from gpusim.kernels.optics.pupil import pupil
+from gpusim.kernels.processor.sharpen import system_kernel
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.lens import open_lens, wavelength_nodes
@@ -97,6 +99,11 @@ class LensTables:
         """Return the lens's blur: see `deviation`."""
         return tables.deviation(plan)
 
+    @staticmethod
+    def kernel_of(*, plan: Plan, tables: "LensTables") -> np.ndarray | None:
+        """Return the kernel of lens and pixels: see `kernel`."""
+        return tables.kernel(plan)
+
     def transfer(self, plan: Plan):
         """Return the plan's transfer tables (groups, planes, ...), stored for the next frame of the same kind."""
         blur, fusion = plan.find(Blur), plan.find(Fusion)
@@ -177,6 +184,19 @@ class LensTables:
         light = plan.weights.sum(axis=0)
         made_of = self.camera.optics, sensor.pixel_pitch, aperture, plan.q / ratio, light
         return self._cache("deviation", fit_gaussian, *made_of)
+
+    def kernel(self, plan: Plan) -> np.ndarray | None:
+        """Return the kernel of lens and pixels on the axis, in focus, for `processor.sharpen`; None without blur.
+
+        Pixels that are binned are one pixel of their area.
+        """
+        if plan.find(Blur) is None:
+            return None
+        sensor, width = self.camera.sensor, prod(self.camera.sensor.binning) ** 0.5
+        aperture = tuple(side / sensor.pixel_pitch for side in sensor.aperture)
+        q, light = plan.q / plan.scene.samples_per_pixel / width, plan.weights.sum(axis=0)
+        made_of = self.camera.optics, width * sensor.pixel_pitch, aperture, q, light
+        return self._cache("kernel", measure_kernel, *made_of)
 
 
 def bands_of(made_of, period, device, distance=None) -> Any:
@@ -345,16 +365,33 @@ def _lens_only(lens, q, period):
     return np.ascontiguousarray(polar(np.stack([places[0], within], axis=-1))).view(np.float64)
 
 
+def measure_kernel(optics, pixel_pitch, aperture, q, light) -> np.ndarray:
+    """Return the kernel of a lens and its pixels for `processor.sharpen`. Arguments as for `fit_gaussian`."""
+    tables = np.tensordot(light, _fine_tables(optics, pixel_pitch, aperture, q, 64), 1)
+    f = np.fft.fftfreq(16, 1 / 16).astype(int)  # up to half a cycle per pixel
+    down, across = f[:, None], np.abs(f)
+    if len(tables) < 64:  # a quarter
+        found = tables[np.abs(down), across]
+    else:  # the spectrum of a real kernel
+        found = np.where(f < 0, tables[-down, across].conj(), tables[down, across])
+    return system_kernel(found / tables[0, 0].real)
+
+
+def _fine_tables(optics, pixel_pitch, aperture, q, size):
+    """Return transfer tables of `size` quarters of pixels, which exclude frequencies that a grid of pixels folds."""
+    sides = tuple(4 * side for side in aperture)
+    tables = transfer_tables(optics, pixel_pitch / 4, 4 * q, sides, size, size)
+    if tables.shape[1] == size:  # halves, as pairs of real and imaginary parts
+        tables = np.ascontiguousarray(tables).view(complex)
+    return tables
+
+
 def fit_gaussian(optics, pixel_pitch, aperture, q, light) -> float:
     """Return the deviation [pixel] of the Gaussian that equals a lens at 1/4 cycle per pixel.
 
     aperture: height and width [pixel]. light: weight of each wavelength, shape (L,).
     """
-    # four points along a pixel, to exclude frequencies that a grid of pixels folds onto this one
-    sides = tuple(4 * side for side in aperture)
-    tables = transfer_tables(optics, pixel_pitch / 4, 4 * q, sides, 32, 32)
-    if tables.shape[1] == 32:  # halves, as pairs of real and imaginary parts
-        tables = np.ascontiguousarray(tables).view(complex)
+    tables = _fine_tables(optics, pixel_pitch, aperture, q, 32)
     passed = [
         light @ tables[:, i, j].real / (light @ tables[:, 0, 0].real) / np.sinc(side / 4)
         for (i, j), side in zip(((2, 0), (0, 2)), aperture, strict=True)

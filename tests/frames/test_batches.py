@@ -51,6 +51,7 @@ CAMERAS = {
         camera_with(processor={"white_balance": way})
         for way in ("illuminant", "gray-world", "none")
     ],
+    "sharpening": [camera_with(processor={"sharpen": s}) for s in (1.0, 0.0, 2.0)],
     "lens": [camera_with(optics={"f_number": n}) for n in (2.0, 4.0, 2.0)],
     "pixels": [
         camera_with(sensor={"binning": (2, 2), "binning_mode": mode})

@@ -40,7 +40,9 @@ SETTINGS = {
         "denoise": 0.5,
         "demosaic": "malvar",
         "tone": TONE,
+        "sharpen": 0.5,
     },
+    "sharpened": {"sharpen": 1.0, "white_balance": "gray-world"},
     "gray world": {"white_balance": "gray-world"},
     "red-blue": {"white_balance": "red-blue", "color": "ridge"},
     "uncorrected": {"white_balance": "shades-of-gray", "color": "none"},
@@ -174,6 +176,7 @@ def test_report_names_the_steps_in_order():
         "processor.shade",
         "processor.malvar",
         "processor.color",
+        "processor.sharpen",
         "display.encode",
     ]
     assert "with a tone curve" in report.stages[-1].model

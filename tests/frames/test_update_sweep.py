@@ -133,6 +133,7 @@ VALUES = {  # of every key, and of others that it needs
         "shading": "false",
         "denoise": "1.0",
         "tone": "[[0, 0], [0.5, 0.7], [1, 1]]",
+        "sharpen": "0.7",
     },
     "display": {
         "name": '"lcd-apple"',

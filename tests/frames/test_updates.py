@@ -29,6 +29,8 @@ COLLECT = {"sensor.collect", "sensor.chip", *READ}
 BLUR = {"optics.airy", "optics.mosaic", *COLLECT}
 CHANGES = {  # what changes -> the stages behind it, by the order in which light goes
     "tone": ({"processor": {"tone": ((0.0, 0.0), (0.3, 0.5), (1.0, 1.0))}}, ENCODE),
+    # its input has no name of its own without it
+    "sharpening": ({"processor": {"sharpen": 1.0}}, {"processor.sharpen", *COLOUR}),
     "color": ({"processor": {"training": "munsell"}}, COLOUR),
     "demosaic": ({"processor": {"demosaic": "malvar"}}, {"processor.malvar", *COLOUR}),
     "read noise": ({"noise": {"read": 9.0}}, READ),

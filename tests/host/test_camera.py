@@ -391,6 +391,7 @@ def test_processor_names(key):
     [
         ({"denoise": -1}, OutOfRange, "denoise"),
         ({"denoise": float("nan")}, OutOfRange, "denoise"),
+        ({"sharpen": 2.1}, OutOfRange, "sharpen"),
         ({"table": object()}, OutOfRange, "a FilterTable"),
         ({"tone": (0, 1)}, BadData, "tone"),
         ({"tone": ((0, 0),)}, BadData, "two or more"),

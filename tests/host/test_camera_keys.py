@@ -103,6 +103,7 @@ VALUES = {
         "target": "A",
         "scaling": "normalised",
         "tone": [[0, 0], [1, 1]],
+        "sharpen": 0.5,
         "white": ([2, 1, 1.5], {"white_balance": "preset"}),
     },
     "display": {

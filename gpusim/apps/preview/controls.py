@@ -267,6 +267,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         ),
         _text("processor", "target", "light to render for", ("D65", "D50", "A")),
         _choice("processor", "tone", "tone curve", tuple(TONES), named=TONES),
+        _linear("processor", "sharpen", "sharpening", 0.0, 2.0),
         _choice("processor", "shading", "shading correction", (False, True)),
         _choice("processor", "scaling", "scaling", SCALINGS),
     ),
