@@ -19,6 +19,9 @@ from skimage import data
 
 import gpusim as gs
 from gpusim.cli.main import main as gpusim
+from gpusim.color.speed import operate_camera
+from gpusim.domain.processor import LOOKS
+from gpusim.io.frame.images import write_jpeg
 from gpusim.judge.truth import mean_and_truth
 from gpusim.measure.ideal import ideal
 from gpusim.measure.mosaic import color_mosaic
@@ -54,6 +57,7 @@ def main():
         gs.save_scene(balls(), Path(folder) / "balls.npz")
         gallery(Path(folder))
         wide(gs.open_scene(photo, luminance=2))
+        looks(photo)
     two_cameras()
     tasks()
     accuracy()
@@ -70,6 +74,17 @@ def gallery(folder):
             raise SystemExit(f"{command}: status {status}")
     for manifest in HERE.glob("*_video.json"):
         manifest.unlink()
+
+
+def looks(photo):
+    """Write the looks of the camera phone in good light and at 1 lux, 1 / pi cd/m2. photo: its path."""
+    rows = []
+    for luminance, controls in ((300, {}), (1 / np.pi, {"exposure": 1 / 15, "iso": 1600})):
+        scene = gs.open_scene(photo, luminance=luminance)
+        cameras = (gs.open_camera("phone").with_(look=look) for look in LOOKS)
+        frames = (gs.Simulator(operate_camera(one, **controls))(scene) for one in cameras)
+        rows.append(np.concatenate([frame.rgb[:200, 100:340] for frame in frames], 1))
+    write_jpeg(HERE / "looks.jpg", np.concatenate(rows), quality=85)
 
 
 def balls():

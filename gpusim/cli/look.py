@@ -111,7 +111,7 @@ def _error(request, plot):
 def _plan(request, plot):
     from gpusim.judge.plan_summary import Forecast
 
-    camera = request.open_camera(*LENS, *SENSOR, "demosaic", "denoise")
+    camera = request.open_camera(*LENS, *SENSOR, "demosaic", "denoise", "look")
     simulator, scene = request.open_simulator(camera), request.open_shown()
     return lambda: plot.plan(Forecast.of(simulator, scene))
 

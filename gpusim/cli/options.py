@@ -36,7 +36,12 @@ SCENE_HELP = (
 )
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
-DEVELOPING = ("demosaic", "denoise", "white_balance")  # controls of how a picture is developed
+DEVELOPING = (
+    "demosaic",
+    "denoise",
+    "white_balance",
+    "look",
+)  # controls of how a picture is developed
 CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling", *DEVELOPING)  # of a camera
 SCENE_OPTIONS = (
     "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection part layer view key "
@@ -340,6 +345,13 @@ class Request(Options):
         metavar="NAME",
         help="white balance: illuminant (the light is known), none, or an estimate, such as "
         "gray-world (default: the camera's)",
+    )
+    look: str | None = option(
+        in_key=False,
+        metavar="NAME",
+        help="finish of the picture: linear (light as it is, for training and measurements), "
+        "camera or phone (denoised, with a tone curve, sharpened; settings of the camera file stay) "
+        "(default: the camera's)",
     )
     band: list[str] | tuple = option(
         default=(),

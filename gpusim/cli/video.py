@@ -387,7 +387,9 @@ def _open_encoded(request, path, simulator, scenes, segments):
         )
     shape = simulator.readout.output_shape(next(scenes.between(0, 1)).shape)
     rate = request.frame_rate(scenes)
-    encoder = Encoder(codec, shape, rate, camera.display, camera.processor.tone, request.quality)
+    encoder = Encoder(
+        codec, shape, rate, camera.display, camera.processor.tone_curve, request.quality
+    )
     made: dict[str, Any] = {
         "fps": str(rate),
         "codec": request.codec,

@@ -135,6 +135,7 @@ def operate_camera(
     demosaic: str | None = None,
     denoise: float | None = None,
     white_balance: str | None = None,
+    look: str | None = None,
 ) -> Camera:
     """Return the camera with other settings of its controls; None leaves a setting as it is.
 
@@ -148,6 +149,7 @@ def operate_camera(
         demosaic: See `Processor`. The camera's table goes, unless it is "learned".
         denoise: See `Processor`.
         white_balance: See `Processor`. The camera's preset white goes, unless it is "preset".
+        look: See `Processor`.
 
     Returns:
         The camera with these settings.
@@ -175,7 +177,7 @@ def operate_camera(
             "neither, or a camera without [optics] psf"
         )
     picture: dict[str, Any] = {"scaling": scaling, "demosaic": demosaic, "denoise": denoise}
-    picture["white_balance"] = white_balance
+    picture |= {"white_balance": white_balance, "look": look}
     picture = {key: value for key, value in picture.items() if value is not None}
     if picture.get("demosaic", "learned") != "learned":
         picture["table"] = None

@@ -123,9 +123,9 @@ class Camera(Tabled):
             and not sensor.stacked
             and sensor.bits != FLOAT_BITS
             and processor.defects == "none"
-            and not processor.denoise
+            and not processor.denoising
             and not processor.shading
-            and not processor.sharpen
+            and not processor.sharpening
             and not processor.estimates_white
         )
 

@@ -120,11 +120,11 @@ def _table(cls, known):
 
 def _tone(value):
     if type(value) is str:
-        return value
+        return None if value == "auto" else value
     try:
         return _pairs()(value)
     except _Wanted:
-        raise _Wanted("a list of pairs of numbers, or the name of a tone curve") from None
+        raise _Wanted('a list of pairs of numbers, the name of a tone curve, or "auto"') from None
 
 
 _pupil = _table(
@@ -344,7 +344,9 @@ _PROCESSOR = {
     "table": ("table", _text),
     "network": ("network", _text),
     "white": ("white", _numbers()),
+    "denoise": ("denoise", _number_or_auto()),
     "tone": ("tone", _tone),
+    "sharpen": ("sharpen", _number_or_auto()),
 }
 _DISPLAY = {
     "primaries": ("primaries", _pairs(3)),

@@ -32,12 +32,30 @@ COLORS = (
     "fixed-diagonal",
     "none",
 )
+
+
+@dataclass(frozen=True)
+class Look:
+    """Settings of a processor that a look chooses: see `Processor`."""
+
+    denoise: float = 0.0
+    tone: str = NO_TONE
+    sharpen: float = 0.0
+
+
+# linear light as it is, as training and metrology need it; a camera's picture; a phone's
+LOOKS = {
+    "linear": Look(),
+    "camera": Look(denoise=1.0, tone="sigmoid", sharpen=0.5),
+    "phone": Look(denoise=1.5, tone="reinhard", sharpen=1.0),
+}
 METHODS = {
     "defects": DEFECTS,
     "demosaic": DEMOSAICS,
     "white_balance": WHITE_BALANCES,
     "color": COLORS,
     "scaling": SCALINGS,
+    "look": tuple(LOOKS),
 }
 LIMITS = {
     "shading": Limits("True or False", kind=bool),
@@ -89,7 +107,8 @@ class Processor:
         defects: Replacement of dead and hot pixels: "known" (the list of this chip, as from a
             factory), "detect" (pixels that differ from their neighbours) or "none".
         shading: Divide out the fall-off of lens and pixels towards the corners.
-        denoise: Strength of denoising before demosaicking: 1 follows the noise model, 0 is off.
+        denoise: Strength of denoising before demosaicking: 1 follows the noise model, 0 is off; None:
+            the look's.
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
             blur), "learned" (local linear filters from a table), "network" (a small network that also
@@ -112,9 +131,12 @@ class Processor:
         tone: Tone curve: a name of `gpusim.domain.tone.TONES`, () or "none" for none, or (x, y) of
             two or more nodes, both increasing. x is a linear value (white = 1) encoded as sRGB; y
             is the displayed value, encoded the same way, from 0 to 1. Between nodes it is a
-            monotone cubic.
+            monotone cubic. None: the look's.
         sharpen: Strength of sharpening by the camera's own blur, 0 (none) .. 2, where luminance stands
-            out of the noise; 1 takes contrast H to H (2 - H), see `processor.sharpen`.
+            out of the noise; 1 takes contrast H to H (2 - H), see `processor.sharpen`. None: the
+            look's.
+        look: Name of LOOKS: choices of denoise, tone and sharpen where these are None. "linear" has
+            none of them.
         white: Camera values of white for white balance "preset", one per channel, any scale.
 
     Raises:
@@ -125,7 +147,7 @@ class Processor:
 
     defects: str = "none"
     shading: bool = False
-    denoise: float = 0.0
+    denoise: float | None = None
     demosaic: str = "bilinear"
     table: FilterTable | None = None
     network: Network | None = None
@@ -134,8 +156,9 @@ class Processor:
     training: str = "objects"
     target: str = "D65"
     scaling: str = "exposure"
-    tone: tuple | str = ()
-    sharpen: float = 0.0
+    tone: tuple | str | None = None
+    sharpen: float | None = None
+    look: str = "linear"
     white: tuple[float, ...] = ()
 
     __repr__ = short_repr
@@ -204,6 +227,21 @@ class Processor:
                 'camera values of white with white_balance = "preset", none without',
             )
         object.__setattr__(self, "white", white)
+
+    @property
+    def denoising(self) -> float:
+        """Strength of denoising, set or by the look."""
+        return LOOKS[self.look].denoise if self.denoise is None else self.denoise
+
+    @property
+    def tone_curve(self) -> tuple | str:
+        """Tone curve, set or by the look."""
+        return LOOKS[self.look].tone if self.tone is None else self.tone
+
+    @property
+    def sharpening(self) -> float:
+        """Strength of sharpening, set or by the look."""
+        return LOOKS[self.look].sharpen if self.sharpen is None else self.sharpen
 
     @property
     def estimates_white(self) -> bool:

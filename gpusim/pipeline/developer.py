@@ -12,6 +12,7 @@ from gpusim.color.color import transform_set
 from gpusim.color.rendering import Rendering, rebalance, transform_arguments
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display, decoding
+from gpusim.domain.processor import Processor
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.tone import NO_TONE, TONES
@@ -57,11 +58,17 @@ class _Numbers:
         return _Numbers(CORRECTED_BLACK, scale, (gain * span, dark * span))
 
 
-def describe_tone(tone) -> str:
-    """Return the end of the report's line of the encoding: the tone curve in words, "" without one."""
+def describe_finish(processor: Processor) -> str:
+    """Return the end of the report's line of the encoding: the look and the tone curve, "" for linear light."""
+    tone = processor.tone_curve
+    look = "" if processor.look == "linear" else f", look {processor.look}"
     if not tone or tone == NO_TONE:
-        return ""
-    return f", tone: {TONES[tone].words}" if isinstance(tone, str) else ", with a tone curve"
+        return look
+    return (
+        f"{look}, tone: {TONES[tone].words}"
+        if isinstance(tone, str)
+        else f"{look}, with a tone curve"
+    )
 
 
 def edges_of(display: Display, tone) -> np.ndarray:
@@ -107,7 +114,7 @@ class Developer:
     @property
     def _edges(self):
         camera = self.camera
-        return self._cache("edges of codes", edges_of, camera.display, camera.processor.tone)
+        return self._cache("edges of codes", edges_of, camera.display, camera.processor.tone_curve)
 
     def steps(self, shape: tuple[int, int]) -> list[Step]:
         """Return the steps from "raw" to display codes.
@@ -145,14 +152,14 @@ class Developer:
             nbytes=12 * area,
             work=float(pixels),
         )
-        if processor.sharpen:
+        if processor.sharpening:
             chain.add(
                 "processor.sharpen",
                 self._sharpening,
                 "colors",
                 "kernel",
                 run=sharpen_picture,
-                words=f"luminance by the camera's own blur, strength {processor.sharpen:g}",
+                words=f"luminance by the camera's own blur, strength {processor.sharpening:g}",
                 nbytes=16 * area,
                 work=float(pixels),
             )
@@ -161,7 +168,7 @@ class Developer:
         chain.add(
             "display.encode",
             {"thresholds": self._edges},
-            words=f"{camera.display.name}, 8 bit{describe_tone(processor.tone)}",
+            words=f"{camera.display.name}, 8 bit{describe_finish(processor)}",
             nbytes=3 * area,
             work=float(pixels),
         )
@@ -230,7 +237,7 @@ class Developer:
                     "detect": f"pixels {STANDS_OUT:g} sigma beyond their neighbours replaced",
                 }[processor.defects],
             )
-        if processor.denoise:
+        if processor.denoising:
             add(
                 "processor.denoise",
                 denoise,
@@ -239,9 +246,9 @@ class Developer:
                     "black_level": numbers.black,
                     "scale": numbers.scale,
                     "noise": numbers.noise,
-                    "strength": processor.denoise,
+                    "strength": processor.denoising,
                 },
-                words=f"denoised, strength {processor.denoise:g}",
+                words=f"denoised, strength {processor.denoising:g}",
                 nbytes=6 * pixels,
             )
             numbers = replace(numbers.on_corrected_scale(), noise=(0.0, 0.0))
@@ -392,7 +399,7 @@ class Developer:
             rendering: Conversion that made it from camera values.
             kernel: The camera's own blur, see `processor.sharpen`; None: nothing is blurred.
         """
-        if not self.camera.processor.sharpen:
+        if not self.camera.processor.sharpening:
             return linear_rgb
         colors, constants = colors_of(rendering), self._sharpening
         return sharpen_picture(linear_rgb, colors, kernel, **constants, device=self.device)
@@ -404,7 +411,7 @@ class Developer:
         gain, dark = self.noise
         scale = 1 / (sensor.white_level - sensor.dark_level)
         return {
-            "strength": self.camera.processor.sharpen,
+            "strength": self.camera.processor.sharpening,
             "luminance": self.camera.display.xyz_from_rgb[1],
             "noise": (gain * scale, dark * scale),
         }

@@ -60,7 +60,7 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
     scaling = {"scaling": processor.scaling, "pixels": readout.pixels}
     of_lens = {"plan": plan, "tables": imaging.tables}
     blurred = of_lens if processor.demosaic == "best" else {}
-    sharpened = of_lens if processor.sharpen else {}
+    sharpened = of_lens if processor.sharpening else {}
     steps = [
         *imaging.steps(plan),
         *metering_steps(plan, sensor, readout),

@@ -138,7 +138,7 @@ class Frame(Pictured):
         if bits != 16:
             raise OutOfRange("bits of display codes", bits, "8 or 16")
         most = 2**16 - 1
-        decode = decoding(self.camera.display, self.camera.processor.tone)
+        decode = decoding(self.camera.display, self.camera.processor.tone_curve)
         # least values of codes 1, 2, ..., as for 8 bits
         edges = decode((np.arange(1, most + 1) - 0.5) / most)
         linear = np.nan_to_num(self.linear, nan=-np.inf)

@@ -60,6 +60,7 @@ SCENE = {
     "demosaic": (CHART, "--demosaic bilinear"),
     "denoise": (CHART, "--denoise 2"),
     "white_balance": (f"{CHART} --light A", "--white-balance none"),
+    "look": (CHART, "--look phone"),
     "band": (f"named.exr {ON} --band green=540", "--band red=630"),
     "wavelengths": (PLANES, "--wavelengths 460,560,660"),
     "kind": (PLANES, "--kind radiance"),
@@ -123,6 +124,7 @@ ROWS = {
         "demosaic": (f"{CHART} -o out.webp", "--demosaic bilinear"),
         "denoise": (f"{CHART} -o out.png", "--denoise 2"),
         "white_balance": (f"{CHART} --light A -o out.dng", "--white-balance none"),
+        "look": (f"{CHART} -o out.png", "--look phone"),
         "out": (f"{CHART} -o out.npz", "-o out.png"),
         "lerobot": (f"{CHART} -o folder.png", "--lerobot look"),
         "seed": (f"{CHART} -o out.npz", "--seed 5"),
@@ -143,6 +145,7 @@ ROWS = {
         "demosaic": (f"{CHART} --pictures -o out", "--demosaic bilinear"),
         "denoise": (f"{CHART} --pictures -o out", "--denoise 2"),
         "white_balance": (f"{CHART} --light A --pictures -o out", "--white-balance none"),
+        "look": (f"{CHART} --pictures -o out", "--look phone"),
         "out": (f"{CHART} -o out", "-o other"),
         "vary": (f"{CHART} -o out", "--vary exposure=1/200..1/20"),
         "each": (f"{CHART} -o out", "--each 2"),
@@ -516,6 +519,7 @@ CONFLICTS = [  # a command line and the option that has no effect in it
     ("simulate", f"{CHART} -o out.raw.npy", "--white-balance none"),
     ("video", f"{PHOTO} -o out.npz", "--scaling normalised"),
     ("video", f"{PHOTO} -o out.dng", "--denoise 1"),
+    ("video", f"{PHOTO} -o out.npz", "--look phone"),
     ("pairs", f"{CHART} -o out", "--white-balance none"),
     ("video", f"{PHOTO} -o out.mkv --codec ffv1-raw", "--scaling normalised"),
     ("video", f"{PHOTO} -o out.png", "--blur"),
@@ -669,7 +673,7 @@ USED = {
     "sfr": OF_FRAME,
     "colors": OF_FRAME - {"band"} | {*DEVELOPING},
     "error": OF_FRAME - {"seed"},
-    "plan": OF_FRAME - {"seed"} | {"demosaic", "denoise"},
+    "plan": OF_FRAME - {"seed"} | {"demosaic", "denoise", "look"},
 }
 OWN = {
     "seed": (CHART, "--seed 5"),
@@ -780,6 +784,7 @@ def test_controls_of_the_processor_are_settings_of_the_camera(inputs, outcome):
     [
         ("--demosaic cubic", "unknown processor.demosaic"),
         ("--white-balance grey", "unknown processor.white_balance"),
+        ("--look film", "unknown processor.look"),
         ("--white-balance preset", "processor.white = []: allowed is camera values of white"),
     ],
 )

@@ -134,6 +134,7 @@ VALUES = {  # of every key, and of others that it needs
         "denoise": "1.0",
         "tone": "[[0, 0], [0.5, 0.7], [1, 1]]",
         "sharpen": "0.7",
+        "look": '"phone"',
     },
     "display": {
         "name": '"lcd-apple"',

@@ -1055,7 +1055,7 @@ def test_efficiency_from_csv(tmp_path):
         ("bits = 10", "bits = 10\n[display]\ncurve = 'gamma'", "an exponent"),
         ("bits = 10", "bits = 10\n[display]\nprimaries = [[0.6, 0.3]]", "a list of 3 pairs"),
         ("bits = 10", "bits = 10\n[processor]\ntarget = 'D67'", "unknown light"),
-        ("bits = 10", "bits = 10\n[processor]\ntone = [1, 2]", "or the name of a tone curve"),
+        ("bits = 10", "bits = 10\n[processor]\ntone = [1, 2]", "the name of a tone curve, or"),
     ],
 )
 def test_bad_file_is_refused_by_file_and_key(tmp_path, old, new, words):

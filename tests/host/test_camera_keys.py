@@ -104,6 +104,7 @@ VALUES = {
         "scaling": "normalised",
         "tone": [[0, 0], [1, 1]],
         "sharpen": 0.5,
+        "look": "camera",
         "white": ([2, 1, 1.5], {"white_balance": "preset"}),
     },
     "display": {

@@ -11,7 +11,7 @@ from gpusim.domain.exposure import METHODS
 from gpusim.domain.key_words import AUTO, default_of, describe_wanted, unit_of
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.optics import MODELS
-from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, SCALINGS, WHITE_BALANCES
+from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, LOOKS, SCALINGS, WHITE_BALANCES
 from gpusim.domain.tone import TONES as TONES_BY_NAME
 
 OWN = "the scene's"  # light
@@ -251,6 +251,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         _linear("noise", "seed", "chip", 0, 1000, is_whole=True),
     ),
     "Processor": (
+        _choice("processor", "look", "look", tuple(LOOKS)),
         _choice("processor", "defects", "defects", DEFECTS),
         _linear("processor", "denoise", "denoising", 0.0, 4.0),
         _choice("processor", "demosaic", "demosaicking", DEMOSAICS),
