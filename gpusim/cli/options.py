@@ -36,12 +36,7 @@ SCENE_HELP = (
 )
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
 CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
-DEVELOPING = (
-    "demosaic",
-    "denoise",
-    "white_balance",
-    "look",
-)  # controls of how a picture is developed
+DEVELOPING = ("demosaic", "denoise", "white_balance", "look")  # controls of the development
 CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling", *DEVELOPING)  # of a camera
 SCENE_OPTIONS = (
     "size light luminance border samples_per_pixel fov depth wavelengths kind scale projection part layer view key "

@@ -62,7 +62,8 @@ class Frame(Pictured):
         rendering: Conversion to colours; its white is estimated from the picture if the camera does that.
         mean: Mean electrons without noise, float32 (rows, cols) or, for stacked pixels, (C, rows, cols) [e-].
         raw: Digital numbers of the same shape, uint16, or float32 without a converter [DN].
-        linear: Linear display RGB before clipping and tone curve, float32 (rows, cols, 3), stored plane by plane.
+        linear: Linear display RGB before clipping and tone curve, sharpened if the processor does that, float32
+            (rows, cols, 3), stored plane by plane.
             Display white is 1, see `Processor.scaling`.
         rgb: Display codes, uint8 (rows, cols, 3).
         report: Times, models and errors of the frame.

@@ -35,7 +35,9 @@ CAMERAS = {
     "best": camera_with(processor={"demosaic": "best"}),
     "learned": camera_with(processor={"demosaic": "learned"}),
     "network": camera_with(processor={"demosaic": "network"}),
-    "corrected": camera_with(processor={"denoise": 1.0, "shading": True, "defects": "detect"}),
+    "corrected": camera_with(
+        processor={"denoise": 1.0, "sharpen": 1.0, "shading": True, "defects": "detect"}
+    ),
     "no converter": camera_with(sensor={"bits": FLOAT_BITS}),
     "noise of every kind": camera_with(
         noise={

@@ -121,7 +121,7 @@ FEATURES = {  # name -> camera, kind of scene, options of the Simulator
         camera_with(
             noise={"dead_pixels": 0.01},
             sensor={"stacked": True},
-            processor={"defects": "known", "shading": True, "denoise": 1.0},
+            processor={"defects": "known", "shading": True, "denoise": 1.0, "look": "phone"},
         ),
         "materials",
         {},
