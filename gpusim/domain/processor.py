@@ -108,7 +108,7 @@ class Processor:
             factory), "detect" (pixels that differ from their neighbours) or "none".
         shading: Divide out the fall-off of lens and pixels towards the corners.
         denoise: Strength of denoising before demosaicking: 1 follows the noise model, 0 is off; None:
-            the look's.
+            the look's, 0 with demosaic "network".
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
             blur), "learned" (local linear filters from a table), "network" (a small network that also
@@ -230,8 +230,10 @@ class Processor:
 
     @property
     def denoising(self) -> float:
-        """Strength of denoising, set or by the look."""
-        return LOOKS[self.look].denoise if self.denoise is None else self.denoise
+        """Strength of denoising, set or by the look; the network removes noise itself."""
+        if self.denoise is not None:
+            return self.denoise
+        return 0.0 if self.demosaic == "network" else LOOKS[self.look].denoise
 
     @property
     def tone_curve(self) -> tuple | str:

@@ -91,3 +91,9 @@ def test_captures_have_the_look():
         means.append([frame.rgb.mean() for frame in (*frames, merged)])
         assert ("look phone" in merged.report.stages[-1].model) == (look == "phone")
     assert (np.array(means[1]) > 1.1 * np.array(means[0])).all()
+
+
+def test_a_look_leaves_denoising_to_the_network():
+    network = gs.open_camera("phone").with_(demosaic="network", look="phone")
+    assert network.processor.denoising == 0.0 < network.with_(demosaic="best").processor.denoising
+    assert network.with_(denoise=1.0).processor.denoising == 1.0
