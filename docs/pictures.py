@@ -77,13 +77,18 @@ def gallery(folder):
 
 
 def looks(photo):
-    """Write the looks of the camera phone in good light and at 1 lux, 1 / pi cd/m2. photo: its path."""
+    """Write the looks of the camera phone in good light and at 1 lux, 1 / pi cd/m2; the last by the network.
+
+    photo: its path.
+    """
     rows = []
     for luminance, controls in ((300, {}), (1 / np.pi, {"exposure": 1 / 15, "iso": 1600})):
         scene = gs.open_scene(photo, luminance=luminance)
-        cameras = (gs.open_camera("phone").with_(look=look) for look in LOOKS)
+        shown = [{"look": look} for look in LOOKS]
+        shown.append({"look": "phone", "demosaic": "network"})
+        cameras = (gs.open_camera("phone").with_(**settings) for settings in shown)
         frames = (gs.Simulator(operate_camera(one, **controls))(scene) for one in cameras)
-        rows.append(np.concatenate([frame.rgb[:200, 100:340] for frame in frames], 1))
+        rows.append(np.concatenate([frame.rgb[:200, 100:320] for frame in frames], 1))
     write_jpeg(HERE / "looks.jpg", np.concatenate(rows), quality=85)
 
 
