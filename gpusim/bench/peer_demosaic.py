@@ -34,10 +34,12 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
     task = Task("demosaic", "NumPy, bilinear")
     raw, (small, truth) = make_mosaic(size)[0], make_mosaic(ERROR_SIZE)
     inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    options = {"phase": "RGGB", "black_level": 0.0, "scale": 1 / WHITE}
+    options = {"black_level": 0.0, "scale": 1 / WHITE}
     references = {
         name: np.moveaxis(
-            public_function(f"processor.{name}")(small, **options, device="numpy"), 0, 2
+            public_function(f"processor.{name}")(small, phase="RGGB", **options, device="numpy"),
+            0,
+            2,
         )
         for name in ("bilinear", "malvar")
     }
@@ -60,8 +62,11 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
         def method(mosaic):
             there = device.array(mosaic, np.uint16)
 
+            mosaic_of = {"cfa": ("RG", "GB")} if name == "network" else {"phase": "RGGB"}
+
             def run():
-                result = public_function(f"processor.{name}")(there, **options, device=device)
+                demosaic = public_function(f"processor.{name}")
+                result = demosaic(there, **mosaic_of, **options, device=device)
                 device.sync()
                 return np.moveaxis(device.numpy(result), 0, 2) if mosaic is small else None
 
@@ -75,7 +80,7 @@ def make_demosaic(device: Device, size: tuple[int, int]) -> Task:
         return partial(baseline.bilinear, mosaic, 1 / WHITE)
 
     task.add("NumPy, bilinear", partial(judge, numpy, "bilinear"))
-    for name in ("bilinear", "malvar", "adaptive", "best", "learned"):
+    for name in ("bilinear", "malvar", "adaptive", "best", "learned", "network"):
         task.add(
             f"gpusim, {name}", partial(judge, ours(name), name if name in references else None)
         )

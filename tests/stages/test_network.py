@@ -5,11 +5,15 @@ import itertools
 import numpy as np
 import pytest
 from devices import ALL_KINDS
+from scipy.ndimage import gaussian_filter
 
+from gpusim.data.charts import chart
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.mosaics import MOSAICS, mosaic
 from gpusim.domain.network import INPUTS, OUTPUTS, Network, is_served
 from gpusim.io.camera.network import built_in_network
+from gpusim.kernels.processor.best import best
+from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.network import network
 
 RANDOM = np.random.default_rng(3)
@@ -149,3 +153,60 @@ def test_pytorch_has_the_same_numbers():
     )
     inner = np.s_[:, 20:-20, 20:-20]  # PyTorch has zeros at the borders
     assert np.abs(found - wanted[0].numpy())[inner].max() < 1e-5 * np.abs(found).max()
+
+
+def picture():
+    """Dead leaves in three bands, blurred as by a lens, 8 bits (256, 320, 3)."""
+    content = chart("deadleaves", size=(320, 256), wavelengths=[450.0, 540.0, 610.0]).content
+    planes = np.moveaxis(content.bands_at(slice(None)), 0, 2)[..., ::-1]
+    return np.rint(255 * np.sqrt(gaussian_filter(planes / planes.max(), (0.6, 0.6, 0))))
+
+
+def quality(found, wanted):
+    """CPSNR [dB] without a border of 10 pixels."""
+    return -10 * np.log10(np.mean(((found - wanted)[10:-10, 10:-10] / 255) ** 2))
+
+
+def seen(planes, cfa):
+    at = np.array([["RGB".index(letter) for letter in row] for row in cfa])
+    rows, cols = planes.shape[:2]
+    whole = np.tile(at, (-(-rows // len(at)), -(-cols // len(at))))[:rows, :cols]
+    return at, np.take_along_axis(planes, whole[..., None], 2)[..., 0]
+
+
+@pytest.mark.parametrize("name", ["x-trans", "quad-bayer", "nona-bayer"])
+def test_it_is_better_than_interpolation(name):
+    """On a generated picture: 3.9 to 4.4 dB were measured; photographs gain 4 to 9 dB."""
+    wanted = picture()
+    at, raw = seen(wanted, mosaic(name))
+    options = {"black_level": 0.0, "scale": 1.0, "device": "opencl"}
+    plain = interpolate(raw.astype(np.uint16), cfa=at.astype(np.int32), **options)
+    found = network(
+        raw.astype(np.uint16), cfa=mosaic(name), **options | {"scale": 1 / 255}, domain="linear"
+    )
+    ours = quality(255 * np.moveaxis(found, 0, 2), wanted)
+    assert ours > quality(np.moveaxis(plain, 0, 2), wanted) + 3
+
+
+@pytest.mark.parametrize("electrons", [5, 20])
+def test_it_is_better_than_best_in_low_light(electrons):
+    wanted = picture()
+    light = (wanted / 255) ** 2
+    gain = electrons / light.mean()
+    _, mean = seen(light, ("RG", "GB"))
+    raw = np.rint(8 * (RANDOM.poisson(mean * gain) + RANDOM.normal(0, 2, mean.shape)) + 200)
+    options = {
+        "black_level": 200.0,
+        "scale": 1 / (8 * gain),
+        "noise": (8.0, 16.0),
+        "device": "opencl",
+    }
+    raw = np.maximum(raw, 0).astype(np.uint16)
+    ours, bests = (
+        quality(255 * np.sqrt(np.clip(np.moveaxis(planes, 0, 2), 0, 1)), wanted)
+        for planes in (
+            network(raw, cfa=("RG", "GB"), **options),
+            best(raw, phase="RGGB", **options),
+        )
+    )
+    assert ours > bests + 2
