@@ -12,7 +12,7 @@ ColorChecker in this light with the stored transform that the estimate selects.
 import numpy as np
 from results import Tables, finish, parser, ready, start
 
-from gpusim.color.balance import ESTIMATES, estimate_white
+from gpusim.color.balance import ESTIMATES, blocks_of, estimate_white
 from gpusim.color.color import METHODS, color_matrix, transform_set
 from gpusim.data.charts import chart
 from gpusim.data.colorimetry import xyz
@@ -124,9 +124,16 @@ def estimates(tables, camera, device, photos):
                 scale=1 / (sensor.white_level - sensor.dark_level),
                 device=simulator.device,
             )
-            small = thumbnail(np.asarray(values), CEILING * saturation, device=simulator.device)
             errors = []
             for method in ESTIMATES:
+                rows, cols = blocks_of(method, values.shape[1:])
+                small = thumbnail(
+                    np.asarray(values),
+                    CEILING * saturation,
+                    rows=rows,
+                    cols=cols,
+                    device=simulator.device,
+                )
                 white = estimate_white(small, method, transforms).white
                 cosine = white @ own.white / np.linalg.norm(white) / np.linalg.norm(own.white)
                 shown = differences(sensor.qe, light, transforms.at(white).matrix).mean()

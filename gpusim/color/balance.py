@@ -5,10 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from gpusim.color.color import TransformSet
+from gpusim.color.likely_light import CLOSE, find_likely_light
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 
-ESTIMATES = ("gray-world", "max-rgb", "shades-of-gray", "red-blue")
+ESTIMATES = ("bayesian", "gray-world", "max-rgb", "shades-of-gray", "red-blue")
+COMPARES_LIGHTS = ("bayesian", "red-blue")  # estimates that need the transforms of lights
 MINKOWSKI = 6  # the best exponent according to Finlayson & Trezzi
+BLOCKS, FINE_BLOCKS = (48, 64), (96, 128)  # rows and columns of thumbnails
+PIXELS = 4  # along the side of a fine block, at least
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,10 +22,32 @@ class WhiteEstimate:
     Attributes:
         white: The response, largest entry 1, shape (C,).
         model: Method and outcome in words.
+        confidence: Probability that the white errs by at most 3 degrees; None if the method has no
+            measure of it.
     """
 
     white: np.ndarray
     model: str
+    confidence: float | None = None
+
+
+def blocks_of(method: str, shape: tuple[int, int]) -> tuple[int, int]:
+    """Return the rows and columns of the thumbnail that suits an estimate.
+
+    "bayesian" relies on the brightest blocks. Small ones hold highlights and little else, but those
+    of less than PIXELS x PIXELS would be noisy.
+
+    Args:
+        method: The estimate.
+        shape: Rows and columns of the picture.
+    """
+    if method != "bayesian":
+        return BLOCKS
+    rows, cols = (
+        max(coarse, min(fine, size // PIXELS))
+        for coarse, fine, size in zip(BLOCKS, FINE_BLOCKS, shape, strict=True)
+    )
+    return rows, cols
 
 
 def estimate_white(
@@ -35,14 +61,20 @@ def estimate_white(
     Args:
         thumbnail: Block means from `processor.thumbnail`, shape (C, rows, cols). Blocks that are
             not finite are left out.
-        method: "gray-world": the mean of the scene is neutral. "max-rgb": the largest responses of
-            all channels belong to white. "shades-of-gray": between the two, the Minkowski mean with
+        method: "bayesian": the mean of the possible lights, weighted by their probability. Mixtures
+            of the lights of `transforms` are likely before the picture is seen. Each picture has
+            three cues: the largest responses, the brightest blocks and the mean difference of
+            neighbours, which differ from white by what is usual for surfaces such as the training
+            ones. Its confidence is the probability that the angle to the true white is at most 3
+            degrees. "gray-world": the mean of the scene is neutral. "max-rgb": the largest
+            responses of all channels belong to white. "shades-of-gray": between the two, the Minkowski mean with
             exponent 6 is neutral. "red-blue": the light of `transforms` in which the red and blue
             responses of the training surfaces fill an area that correlates best with the picture's:
             overlap / sqrt(product). Areas are convex hulls of the responses and black. Both are
             scaled until their brightest colour, the root of the sum of squares over the channels,
             is 1. The channels must include R and B.
-        transforms: Colour transforms of the candidate lights, necessary for "red-blue".
+        transforms: Colour transforms of the candidate lights, necessary for "red-blue", and for
+            "bayesian" with more than one channel.
         floor: Mean response that counts as dark, for example the read noise [camera value].
 
     Returns:
@@ -54,6 +86,9 @@ def estimate_white(
         UnknownName: The method is not known.
 
     Source:
+        Brainard & Freeman 1997, J. Opt. Soc. Am. A 14, 1393-1411 (Bayes's rule for the light), with
+        the cues of Land 1977, Joze et al. 2012, Color Imaging Conference 20, 41-46 (bright pixels),
+        and van de Weijer et al. 2007, IEEE Trans. Image Processing 16, 2207-2214 (edges);
         Buchsbaum 1980, J. Franklin Institute 310, 1-26 (gray-world); Land 1977, Scientific American
         237, 108-128 (max-rgb); Finlayson & Trezzi 2004, Color Imaging Conference 12, 37-41
         (shades-of-gray); Tominaga & Wandell 2002, Proc. IEEE 90, 42-56 (red-blue).
@@ -70,6 +105,12 @@ def estimate_white(
             f"transforms for {len(transforms.target_white)} channels, a thumbnail of {len(thumbnail)}"
         )
     pair = _find_red_and_blue(transforms) if method == "red-blue" else None
+    if method == "bayesian" and len(thumbnail) == 1:
+        return WhiteEstimate(np.ones(1), "bayesian: one channel has one white", 1.0)
+    if method == "bayesian" and transforms is None:
+        raise BadData(
+            "white balance 'bayesian' compares the picture with lights: give it their transforms"
+        )
     blocks = thumbnail[:, np.isfinite(thumbnail).all(0)]
     if not blocks.size:
         return _assume_white(transforms, len(thumbnail), "every block is clipped")
@@ -77,6 +118,13 @@ def estimate_white(
         return _assume_white(transforms, len(thumbnail), "a channel is dark")
     if pair:
         return _match_red_and_blue(blocks, transforms, pair)
+    if method == "bayesian" and transforms is not None:
+        white, confidence, error = find_likely_light(thumbnail, transforms)
+        words = (
+            f"bayesian, {100 * confidence:.0f} % sure of it to {CLOSE:g} degrees, "
+            f"expected error {error:.1f} degrees"
+        )
+        return WhiteEstimate(white, words, confidence)
     means = (
         blocks.mean(1)
         if method == "gray-world"

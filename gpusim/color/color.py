@@ -380,7 +380,7 @@ class TransformSet:
         if white.shape != whites.shape[1:] or not (np.isfinite(white).all() and (white > 0).all()):
             raise BadData(f"white {white.tolist()}: wanted {whites.shape[1]} positive numbers")
         white = white / white.max()
-        distances = np.linalg.norm(_chromaticity(white) - _chromaticity(whites), axis=1)
+        distances = np.linalg.norm(chromaticity(white) - chromaticity(whites), axis=1)
         nearest = distances.argmin()
         if distances[nearest] == 0 or len(distances) == 1:
             mixture = np.eye(len(distances))[nearest]
@@ -451,7 +451,7 @@ def transform_set(
     )
 
 
-def _chromaticity(white):
+def chromaticity(white):
     """Return logarithms of responses (..., C) minus their mean, independent of brightness."""
     logs = np.log(white)
     return logs - logs.mean(-1, keepdims=True)

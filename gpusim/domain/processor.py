@@ -15,6 +15,7 @@ DEFECTS = ("none", "known", "detect")
 DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned", "network")
 WHITE_BALANCES = (
     "illuminant",
+    "bayesian",
     "gray-world",
     "max-rgb",
     "shades-of-gray",
@@ -117,9 +118,9 @@ class Processor:
         table: Filters of "learned"; None: the built-in ones for Bayer mosaics.
         network: Weights of "network"; None: the built-in ones.
         white_balance: "illuminant" (the light of the scene is known; a perfect diffuser becomes
-            neutral), an estimate from the picture ("gray-world", "max-rgb", "shades-of-gray",
-            "red-blue"), "preset" (the light in which white has the values `white`), or "none" (as
-            if the light were `target`).
+            neutral), an estimate from the picture ("bayesian", which errs least, "gray-world",
+            "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white has the
+            values `white`), or "none" (as if the light were `target`).
         color: Method that finds the 3 x C transform to CIE XYZ (see
             `gpusim.color.color.color_matrix`), or "none" (channels are displayed as they are).
         training: Name of the reflectance set that the transform is trained on.

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.color.balance import COMPARES_LIGHTS, blocks_of
 from gpusim.color.color import transform_set
 from gpusim.color.rendering import Rendering, rebalance, transform_arguments
 from gpusim.domain.camera import Camera
@@ -344,7 +345,8 @@ class Developer:
     def _white_step(self) -> Step:
         """Return the step that renders for a white that is estimated from the picture."""
         camera, processor = self.camera, self.camera.processor
-        wanted = processor.color != "none" or processor.white_balance == "red-blue"
+        method, several = processor.white_balance, len(camera.sensor.channels) > 1
+        wanted = processor.color != "none" or (method in COMPARES_LIGHTS and several)
         transforms = None
         if wanted:
             transforms = self._cache("transforms", transform_set, **transform_arguments(camera))
@@ -359,9 +361,9 @@ class Developer:
                 "floor": self.noise[1] * scale,
                 "device": self.device,
             },
-            words=f"white by {processor.white_balance}",
+            words=f"white by {method}",
             rate=Rate.FRAME,
-            host="the white is estimated from a thumbnail of 48 x 64 blocks",
+            host="the white is estimated from a thumbnail of some thousand blocks",
             run=render_for_picture,
         )
 
@@ -529,5 +531,7 @@ def develop_at_once(raw, colors, edges, *, device, **constants) -> Any:
 
 def render_for_picture(planes, once, *, camera, transforms, floor, device) -> Rendering:
     """Return the rendering for a white estimated from the picture. once: the rendering for the target light."""
-    small = device.numpy(thumbnail(planes, CLIPPED * once.saturation, device=device))
+    rows, cols = blocks_of(camera.processor.white_balance, planes.shape[1:])
+    small = thumbnail(planes, CLIPPED * once.saturation, rows=rows, cols=cols, device=device)
+    small = device.numpy(small)
     return rebalance(once, camera, transforms, small, floor)

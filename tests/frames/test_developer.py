@@ -1,5 +1,6 @@
 """The image processor as a whole: every setting through the simulator, on every kind of device."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -44,6 +45,7 @@ SETTINGS = {
     },
     "sharpened": {"sharpen": 1.0, "white_balance": "gray-world"},
     "gray world": {"white_balance": "gray-world"},
+    "bayesian": {"white_balance": "bayesian"},
     "red-blue": {"white_balance": "red-blue", "color": "ridge"},
     "uncorrected": {"white_balance": "shades-of-gray", "color": "none"},
     "tone": {"tone": TONE},
@@ -138,15 +140,16 @@ def test_known_defects_leave_no_trace_in_a_flat_field(device):
     assert np.ptp(frame.linear[..., 1]) <= 1e-6  # equal numbers, in sums of different order
 
 
+@pytest.mark.parametrize("method", ["max-rgb", "bayesian"])
 @pytest.mark.parametrize("device", FIRST)
-def test_estimated_white_finds_the_light(device):
+def test_estimated_white_finds_the_light(device, method):
     """A ColorChecker in A by its white patch: 0.2 degrees from the truth by max-RGB (measured), 17 away from D65's.
 
     Without an estimate, as if in D65, white is orange.
     """
     scene = chart("colorchecker", size=(96, 64), light="A")
     truth = Simulator(camera_with(), device=device)(scene).rendering.neutral
-    found = Simulator(camera_with(white_balance="max-rgb"), device=device)(scene).rendering.neutral
+    found = Simulator(camera_with(white_balance=method), device=device)(scene).rendering.neutral
     assumed = Simulator(camera_with(white_balance="none"), device=device)(scene).rendering.neutral
 
     def degrees(a, b):
@@ -164,6 +167,13 @@ def test_a_frame_is_balanced_by_itself():
     assert not np.array_equal(one.rendering.neutral, two.rendering.neutral)  # the noise differs
     assert "gray-world" in one.rendering.model
     assert any(stage.stage == "processor.thumbnail" for stage in one.report.stages)
+
+
+def test_the_report_names_the_estimate_and_its_confidence():
+    camera = camera_with(white_balance="bayesian")
+    frame = Simulator(camera, device="opencl")(chart("colorchecker", size=(72, 48)))
+    words = {stage.stage: stage.model for stage in frame.report.stages}["processor.color"]
+    assert re.search(r"bayesian, \d+ % sure of it to 3 degrees, expected error", words)
 
 
 def test_report_names_the_steps_in_order():

@@ -186,7 +186,7 @@ def test_parts_and_runs_that_go_on_are_those_of_one_run(folder, tmp_path, capsys
             "--lag exposure: the exposure time is set",
         ),
         (["--lag", "focus=1", "--ramp", "focus=1..2"], "--lag focus: --ramp focus sets the focus"),
-        (["--lag", "white=1"], "one of gray-world, max-rgb, shades-of-gray, red-blue"),
+        (["--lag", "white=1"], "one of bayesian, gray-world, max-rgb, shades-of-gray, red-blue"),
         (["--lag", "focus=1"], "a loop of focus needs scene.depth"),
     ],
 )

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gpusim.color.balance import ESTIMATES, estimate_white
+from gpusim.color.balance import COMPARES_LIGHTS, ESTIMATES, estimate_white
 from gpusim.color.color import ColorTransform, TransformSet, transform_set
 from gpusim.data.curves import curve
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
@@ -112,10 +112,9 @@ def test_red_blue_knows_a_light_by_surfaces_it_was_not_trained_on(transforms):
 def test_exposure_does_not_matter(method, transforms):
     picture = WHITE[:, None, None] * reflecting()
     base = estimate_white(picture, method, transforms)
-    for factor in (2.0**-20, 2.0**20):  # powers of two round alike
-        np.testing.assert_array_equal(
-            estimate_white(picture * factor, method, transforms).white, base.white
-        )
+    for factor in (2.0**-20, 2.0**20):  # powers of two round alike, their logarithms do not
+        found = estimate_white(picture * factor, method, transforms).white
+        np.testing.assert_allclose(found, base.white, rtol=ROUNDING if method == "bayesian" else 0)
     assert base.white.max() == 1
 
 
@@ -151,7 +150,7 @@ def test_a_picture_without_light_falls_back_and_says_so(method, transforms):
         assert reason in found.model and "target light" in found.model
     noise = np.abs(np.random.default_rng(8).normal(0, 1e-4, (3, 4, 4)))
     assert "dark" in estimate_white(noise, method, transforms, floor=1e-3).model
-    if method != "red-blue":
+    if method not in COMPARES_LIGHTS:
         np.testing.assert_array_equal(estimate_white(black, method).white, [1, 1, 1])
 
 
