@@ -14,6 +14,7 @@ from results import Tables, finish, parser, ready, start
 
 from gpusim.color.balance import ESTIMATES, blocks_of, estimate_white
 from gpusim.color.color import METHODS, color_matrix, transform_set
+from gpusim.color.root_polynomial import terms_of
 from gpusim.data.charts import chart
 from gpusim.data.colorimetry import xyz
 from gpusim.data.lights import illuminant
@@ -36,9 +37,8 @@ def differences(qe, light, matrix):
     import colour
 
     weights = product_weights(PATCHES.wavelengths, qe, photons_from_energy(illuminant(light)))
-    shown = (
-        DISPLAYS["srgb"].xyz_from_rgb @ matrix @ weights @ PATCHES.values.T / weights.sum(1).max()
-    )
+    seen = weights @ PATCHES.values.T / weights.sum(1).max()
+    shown = DISPLAYS["srgb"].xyz_from_rgb @ matrix @ terms_of(seen.T, matrix.shape[1]).T
     wanted = xyz(PATCHES, illuminant("D65")) / xyz(illuminant("D65"))[1]
     white = np.array([0.3127, 0.3290])
     return colour.delta_E(

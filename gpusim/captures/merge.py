@@ -365,7 +365,7 @@ def merge_flash(
     for name, frame in (("ambient", ambient), ("flash", flash)):
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
-    full = CLIPPED * float((flash.rendering.display_from_camera @ flash.rendering.ceiling).min())
+    full = CLIPPED * float((flash.rendering.linear_matrix @ flash.rendering.ceiling).min())
     device, averaged = simulator.device, simulator.readout.averaged
     with device.timed() as ms:
         planes = with_flash(
@@ -493,9 +493,9 @@ def _display_noise(frame, averaged=1):
     """Return the noise of linear display values as `processor.flash` takes it, (3, 4).
 
     Only noise from frame to frame counts, because both pictures have the same fixed offsets.
-    averaged: as for `Developer`.
+    Root-polynomial colours have the noise of colours next to white. averaged: as for `Developer`.
     """
-    sensor, matrix = frame.camera.sensor, frame.rendering.display_from_camera
+    sensor, matrix = frame.camera.sensor, frame.rendering.linear_matrix
     noise = RawNoise.of(sensor, averaged)
     scale = sensor.gain_dn_per_electron / (sensor.white_level - sensor.dark_level)
     per_light = scale * matrix**2 @ np.linalg.pinv(matrix) * noise.photons / averaged

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from gpusim.color.root_polynomial import EXPONENTS, terms_of, weigh_terms
 from gpusim.data.colorimetry import BRADFORD, adaptation, cmf
 from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances as measured
@@ -14,7 +15,15 @@ from gpusim.domain.display import DISPLAYS, Display
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
 
-METHODS = ("white-preserving", "pseudo-inverse", "ridge", "cielab", "diagonal", "fixed-diagonal")
+METHODS = (
+    "white-preserving",
+    "pseudo-inverse",
+    "ridge",
+    "cielab",
+    "diagonal",
+    "fixed-diagonal",
+    *EXPONENTS,
+)
 
 # Electrons of white in the strongest channel, for the balance of noise and colour error with more
 # than three channels. At 1e5 electrons shot noise is a third of the colour error of a good
@@ -49,12 +58,15 @@ REACH = 2.0  # radius around a white in which transforms are mixed, over the sec
 
 @dataclass(frozen=True, eq=False)
 class ColorTransform:
-    """Linear maps from camera responses that are 1 for perfect white in its strongest channel.
+    """Maps from camera responses that are 1 for perfect white in its strongest channel.
+
+    The matrices are multiplied by the responses, F = C, or by their root-polynomial terms (see
+    `gpusim.color.root_polynomial.terms_of`).
 
     Attributes:
-        matrix: To linear display RGB, shape (3, C). White becomes (1, 1, 1), approximately if the
+        matrix: To linear display RGB, shape (3, F). White becomes (1, 1, 1), approximately if the
             method does not preserve white.
-        xyz: To the XYZ of the surfaces in the target light, white Y = 1, shape (3, C).
+        xyz: To the XYZ of the surfaces in the target light, white Y = 1, shape (3, F).
         white: Response to perfect white in the scene's light, largest entry 1, shape (C,).
             Multiplied by saturation in units of white, it is the `ceiling` of processor.color,
             which keeps blown-out highlights neutral.
@@ -110,7 +122,12 @@ def color_matrix(
             target light; D scales the cone-like responses (Bradford) of F for the scene's light
             until white is exact (von Kries's rule after a matrix). "diagonal": channels R, G, B are
             the display's primaries, each scaled until white is exact. It does not correct crosstalk
-            of the filters, and ignores other channels.
+            of the filters, and ignores other channels. "root-polynomial": as "white-preserving", of
+            the 6 terms r, g, b and the square roots of rg, gb, rb; for three channels. Errors count
+            as CIELAB's slope does, and with the expected error of shot noise; colours far from the
+            surfaces' stay near those of "white-preserving". All terms are proportional to the light,
+            so that the hue does not change with exposure. "root-polynomial-3": also the 7 cube roots
+            of products of three.
         target_light: Light of the rendered surfaces, as `light`.
         display: Its white, to which the target's is adapted (Bradford), and its primaries.
         snr: Only for "ridge": signal-to-noise ratio of white in the strongest channel [1], that is
@@ -128,7 +145,8 @@ def color_matrix(
 
     Source:
         Farrell & Wandell, section 6.2 and Figure 11; Finlayson & Drew 1997, Color Research and
-        Application 22, 2-15 (white-preserving).
+        Application 22, 2-15 (white-preserving); Finlayson, Mackiewicz & Hurlbert 2015, IEEE Trans.
+        Image Processing 24, 1460-1470 (root-polynomial).
     """
     if method not in METHODS:
         raise UnknownName("color matrix method", method, METHODS)
@@ -160,6 +178,7 @@ def color_matrix(
             "cielab": _least_in_cielab,
             "pseudo-inverse": lambda of: _least_squares(of.camera, of.xyz, 0.0),
             "ridge": lambda of: _least_squares(of.camera, of.xyz, of.camera.sum(1) / snr**2),
+            **dict.fromkeys(EXPONENTS, lambda of: _white_preserving_roots(of, method)),
         }[method]
         to_xyz = fit(_check_rank(seen))
     return ColorTransform(display.rgb_from_xyz @ adapt @ to_xyz, to_xyz, seen.camera_white)
@@ -272,6 +291,24 @@ def _white_preserving(of):
         noise = np.diag(np.sqrt(camera.shape[1] * of.camera_white / WHITE_ELECTRONS))
         camera, missing = np.hstack([camera, noise]), np.hstack([missing, -fixed @ noise])
     return fixed + _least_squares(free.T @ camera, missing, 0.0) @ free.T
+
+
+def _white_preserving_roots(of, method):
+    """Return the matrix of root-polynomial terms that maps white to white, with noise."""
+    channels, surfaces = of.camera.shape
+    count = len(EXPONENTS[method])
+    if channels != 3 or surfaces < count:
+        raise BadData(
+            f"color matrix: method {method!r} needs 3 channels and {count} training reflectances or more, got "
+            f"{channels} and {surfaces}; use another method"
+        )
+    bright = of.xyz[1] / of.xyz_white[1]
+    seen, wanted = weigh_terms(
+        of.camera, of.xyz, bright, of.camera_white, _white_preserving(of), count
+    )
+    terms = _Training(seen, wanted, terms_of(of.camera_white, count), of.xyz_white)
+    fixed, free = _split_white(terms)
+    return fixed + _least_squares(free.T @ seen, wanted - fixed @ seen, 0.0) @ free.T
 
 
 def _least_in_cielab(of):
@@ -387,7 +424,8 @@ class TransformSet:
         else:
             mixture = np.maximum(1 / distances - 1 / (REACH * np.partition(distances, 1)[1]), 0)
             mixture /= mixture.sum()
-        gains = whites / white
+        count = self.transforms[0].matrix.shape[1]
+        gains = terms_of(whites, count) / terms_of(white, count)
         matrix, xyz = (
             np.einsum(
                 "k,kpc,kc->pc",

@@ -6,6 +6,7 @@ import numpy as np
 
 from gpusim.color.balance import estimate_white
 from gpusim.color.color import TransformSet, color_matrix, transform_set
+from gpusim.color.root_polynomial import slopes_of
 from gpusim.data.colorimetry import adaptation, xyz
 from gpusim.data.lights import illuminant
 from gpusim.data.weights import product_weights
@@ -23,7 +24,8 @@ class Rendering:
     A camera value is (DN - dark level) / (white level - dark level).
 
     Attributes:
-        display_from_camera: Matrix to linear display RGB, white = 1, shape (3, C).
+        display_from_camera: Matrix to linear display RGB, white = 1, shape (3, C); or of the
+            root-polynomial terms of three channels, shape (3, 6) or (3, 13).
         ceiling: Largest camera values, shape (C,). Clipping to them keeps blown-out highlights
             neutral.
         neutral: Camera values of white, the largest 1, shape (C,).
@@ -44,13 +46,24 @@ class Rendering:
 
     __repr__ = short_repr
 
+    @property
+    def linear_matrix(self) -> np.ndarray:
+        """Matrix to linear display RGB for colours next to white, shape (3, C).
+
+        It is `display_from_camera` unless that is of root-polynomial terms.
+        """
+        matrix = self.display_from_camera
+        if matrix.shape[1] == len(self.neutral):
+            return matrix
+        return matrix @ slopes_of(self.neutral, matrix.shape[1])
+
 
 @dataclass(frozen=True, eq=False)
 class Colors:
     """A Rendering without its levels.
 
     Attributes:
-        matrix: Matrix to linear display RGB for white as 1, shape (3, C).
+        matrix: Matrix to linear display RGB for white as 1, see `Rendering.display_from_camera`.
         neutral: Camera values of white, the largest 1, shape (C,).
         model: Method in words.
         brightest: Electrons per second of a perfect white diffuser in the strongest plane, or None
@@ -195,7 +208,7 @@ def _match_colors(white_rate, light, camera, cache):
             channels=letters,
         )
         matrix, neutral = found.matrix, found.white
-        model = f"3x{len(neutral)} matrix, {processor.color} on {processor.training!r}"
+        model = f"3x{matrix.shape[1]} matrix, {processor.color} on {processor.training!r}"
     else:
         neutral = np.ones(len(letters))
         if known and rates is not None:
@@ -249,7 +262,7 @@ def _balance_white(camera, white, words, transforms):
         matrix, model = _show_channels(planes_of(camera), white)
         return Colors(matrix, white, f"{model}, {words}")
     made = transforms.at(white)
-    model = f"3x{len(made.white)} matrix, {processor.color} on {processor.training!r}, {words}"
+    model = f"3x{made.matrix.shape[1]} matrix, {processor.color} on {processor.training!r}, {words}"
     return Colors(made.matrix, made.white, model)
 
 

@@ -8,7 +8,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.labels import Tabled
 from gpusim.domain.network import served_square
 from gpusim.domain.optics import Optics
-from gpusim.domain.processor import Processor
+from gpusim.domain.processor import ROOT_POLYNOMIALS, Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.short_repr import shorten_repr
 
@@ -71,6 +71,7 @@ class Camera(Tabled):
                 f'"none" for a sensor of {len(self.sensor.channels)} channel(s): '
                 "colour needs at least 3",
             )
+        self._check_roots()
 
     def __repr__(self):
         optics, sensor = self.optics, self.sensor
@@ -127,7 +128,18 @@ class Camera(Tabled):
             and not processor.shading
             and not processor.sharpening
             and not processor.estimates_white
+            and processor.color not in ROOT_POLYNOMIALS
         )
+
+    def _check_roots(self):
+        table = self.processor.table
+        planes = self.sensor.channels if table is None else table.layout.outputs
+        if self.processor.color in ROOT_POLYNOMIALS and len(planes) != 3:
+            raise OutOfRange(
+                "processor.color",
+                f'"{self.processor.color}" of the channels {", ".join(planes)}',
+                'three channels; use "white-preserving"',
+            )
 
     def _check_mosaic(self):
         sensor, processor = self.sensor, self.processor

@@ -31,8 +31,11 @@ COLORS = (
     "cielab",
     "diagonal",
     "fixed-diagonal",
+    "root-polynomial",
+    "root-polynomial-3",
     "none",
 )
+ROOT_POLYNOMIALS = ("root-polynomial", "root-polynomial-3")  # for three channels
 
 
 @dataclass(frozen=True)
@@ -92,6 +95,8 @@ def fit_to_mosaic(cfa, before, is_stacked: bool, known: dict, free: set) -> dict
         changes["color"] = "none"
     elif len(letters) >= 3 > len(old) and color == "none":
         changes["color"] = "white-preserving"
+    elif len(letters) > 3 and color in ROOT_POLYNOMIALS:
+        changes["color"] = "white-preserving"
     if known.get("white_balance") == "red-blue" and not {*"RB"} <= letters:
         changes["white_balance"] = "illuminant"
     return {key: value for key, value in changes.items() if key in free}
@@ -121,8 +126,9 @@ class Processor:
             neutral), an estimate from the picture ("bayesian", which errs least, "gray-world",
             "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white has the
             values `white`), or "none" (as if the light were `target`).
-        color: Method that finds the 3 x C transform to CIE XYZ (see
-            `gpusim.color.color.color_matrix`), or "none" (channels are displayed as they are).
+        color: Method that finds the 3 x C matrix to CIE XYZ, or, for three channels, the 3 x 6 or 3
+            x 13 matrix of their root-polynomial terms (see `gpusim.color.color.color_matrix`); or
+            "none" (channels are displayed as they are).
         training: Name of the reflectance set that the transform is trained on.
         target: Light in which the picture shows the surfaces of the scene.
         scaling: Definition of display white: "exposure" (the signal at which automatic exposure

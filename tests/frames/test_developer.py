@@ -48,6 +48,8 @@ SETTINGS = {
     "bayesian": {"white_balance": "bayesian"},
     "red-blue": {"white_balance": "red-blue", "color": "ridge"},
     "uncorrected": {"white_balance": "shades-of-gray", "color": "none"},
+    "roots": {"color": "root-polynomial"},
+    "cube roots": {"color": "root-polynomial-3", "white_balance": "max-rgb"},
     "tone": {"tone": TONE},
 }
 

@@ -72,7 +72,7 @@ FEATURES = {  # name -> camera, kind of scene, options of the Simulator
     },
     **{
         f"white by {method}": (camera_with(processor={"white_balance": method}), "materials", {})
-        for method in ("gray-world", "red-blue")
+        for method in ("gray-world", "red-blue", "bayesian")
     },
     **{
         f"binned, {mode}": (

@@ -22,6 +22,7 @@ from gpusim.data.weights import product_weights
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.learned import XYZ, Code, FilterTable, Layout
+from gpusim.domain.processor import ROOT_POLYNOMIALS
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.scene import Scene
 from gpusim.measure.ideal import pixel_sums
@@ -229,6 +230,12 @@ def colorimetric_channels(camera: Camera, light: str) -> tuple[tuple[str, ...], 
     """
     sensor, processor = camera.sensor, camera.processor
     letters = tuple("RGB") if {*"RGB"} <= {*sensor.channels} else sensor.channels[:3]
+    if processor.color in ROOT_POLYNOMIALS:
+        raise OutOfRange(
+            "processor.color",
+            f'"{processor.color}"',
+            'a linear method such as "white-preserving", for training filters',
+        )
     method = "white-preserving" if processor.color == "none" else processor.color
     transform = color_matrix(
         efficiency(camera, letters),
