@@ -82,6 +82,10 @@ def find_likely_light(
 
     Raises:
         BadData: All training surfaces are grey.
+
+    Source:
+        Brainard & Freeman 1997, J. Opt. Soc. Am. A 14, 1393-1411; here the mean of the posterior, of
+        statistics in place of all surfaces.
     """
     lights = _possible_lights(transforms)
     probability = lights.prior.copy()

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from gpusim.domain.processor import ROOT_POLYNOMIALS
+
 # Exponents of the three channels in each term. The sum is 1: twice the light, twice the term.
 _SECOND = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [0.5, 0.5, 0], [0, 0.5, 0.5], [0.5, 0, 0.5]])
 _THIRD = np.array(
@@ -12,7 +14,7 @@ _THIRD = np.array(
 ELECTRONS = 1e4  # of white in the strongest channel, for the balance of noise and colour error
 FAR_SHARE, FAR_LIGHT = 0.03, 0.2  # weight of colours far from the surfaces', and their brightness
 FAR_STEPS = 10  # along each side of the triangle of colours
-EXPONENTS = {"root-polynomial": _SECOND, "root-polynomial-3": np.concatenate([_SECOND, _THIRD])}
+EXPONENTS = dict(zip(ROOT_POLYNOMIALS, (_SECOND, np.concatenate([_SECOND, _THIRD])), strict=True))
 
 
 def terms_of(channels, count: int) -> np.ndarray:
