@@ -76,6 +76,7 @@ def estimate_white(
         transforms: Colour transforms of the candidate lights, necessary for "red-blue", and for
             "bayesian" with more than one channel.
         floor: Mean response that counts as dark, for example the read noise [camera value].
+            "bayesian" takes larger blocks where it is large.
 
     Returns:
         The estimate.
@@ -119,7 +120,7 @@ def estimate_white(
     if pair:
         return _match_red_and_blue(blocks, transforms, pair)
     if method == "bayesian" and transforms is not None:
-        white, confidence, error = find_likely_light(thumbnail, transforms)
+        white, confidence, error = find_likely_light(thumbnail, transforms, floor)
         words = (
             f"bayesian, {100 * confidence:.0f} % sure of it to {CLOSE:g} degrees, "
             f"expected error {error:.1f} degrees"

@@ -16,6 +16,7 @@ BREADTH = 0.15  # of the usual lights around the lines that link neighbours
 UNUSUAL = 1e-3  # prior of a light far from all of them, over that of one among them
 BRIGHT = 0.002  # share of the blocks that count as brightest
 SHARED = 0.7  # weight of each cue: all see the same surfaces, so that they err together
+NOISY = 0.01  # noise over the brightest block from which small blocks err by noise
 CLOSE = 3.0  # [degree] error within which an estimate counts as right
 
 
@@ -68,13 +69,15 @@ class _Lights:
 
 
 def find_likely_light(
-    thumbnail: np.ndarray, transforms: TransformSet
+    thumbnail: np.ndarray, transforms: TransformSet, floor: float = 0.0
 ) -> tuple[np.ndarray, float, float]:
     """Return the mean of the possible whites, each with its probability.
 
     Args:
         thumbnail: Block means, shape (C, rows, cols), C > 1; NaN where a block is clipped.
         transforms: Colour transforms of usual lights.
+        floor: Noise of a pixel without light. If it is above NOISY of the brightest block, four
+            blocks are taken as one.
 
     Returns:
         White, largest entry 1, shape (C,); the probability that it errs by at most CLOSE; and its
@@ -87,6 +90,8 @@ def find_likely_light(
         Brainard & Freeman 1997, J. Opt. Soc. Am. A 14, 1393-1411; here the mean of the posterior, of
         statistics in place of all surfaces.
     """
+    if floor > NOISY * np.nanmax(thumbnail):
+        thumbnail = _join_blocks(thumbnail)
     lights = _possible_lights(transforms)
     probability = lights.prior.copy()
     for cue, statistic in zip(CUES.values(), _statistics(thumbnail), strict=True):
@@ -105,6 +110,19 @@ def find_likely_light(
     cosines = lights.whites @ white / np.linalg.norm(lights.whites, axis=1) / np.linalg.norm(white)
     angles = np.rad2deg(np.arccos(np.minimum(cosines, 1)))
     return white / white.max(), float(probability @ (angles <= CLOSE)), float(probability @ angles)
+
+
+def _join_blocks(thumbnail):
+    """Return the means of 2 x 2 blocks, without those that are NaN; as it is if too small."""
+    channels, rows, cols = thumbnail.shape
+    if min(rows, cols) < 2:
+        return thumbnail
+    pairs = thumbnail[:, : rows // 2 * 2, : cols // 2 * 2]
+    pairs = pairs.reshape(channels, rows // 2, 2, cols // 2, 2)
+    known = np.isfinite(pairs)
+    counts = known.sum((2, 4))
+    sums = np.where(known, pairs, 0).sum((2, 4))
+    return np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0)
 
 
 def _statistics(thumbnail):

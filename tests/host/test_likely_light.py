@@ -191,3 +191,22 @@ def test_wrong_calls_are_refused_in_one_line(known):
     with pytest.raises(BadData, match="grey") as refusal:
         estimate_white(picture, "bayesian", grey)
     assert "\n" not in str(refusal.value)
+
+
+def test_large_blocks_serve_in_low_light(known):
+    """Noise of 10 % of white in every block, as if each were a pixel; over eight drawings.
+
+    Four blocks as one halve it. The floor says how noisy a pixel is; without it, the largest of 3072
+    noisy blocks is taken for white.
+    """
+    qe, transforms = known
+    colors, white = seen(qe, "D55", reflectances("macbeth"))
+    clean = (colors / colors.max())[:, np.repeat(np.repeat(discs(24, 24, 32), 2, 0), 2, 1)]
+    errors: dict[float, list] = {0.0: [], 0.1: []}
+    for seed in range(8):
+        noisy = clean + np.random.default_rng(seed).normal(0, 0.1, clean.shape)
+        noisy[:, 5, 7] = np.nan  # a clipped block is left out of its four
+        for floor, found in errors.items():
+            estimate = estimate_white(noisy, "bayesian", transforms, floor=floor)
+            found.append(degrees(estimate.white, white))
+    assert np.mean(errors[0.1]) < np.mean(errors[0.0])
