@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.color.balance import estimate_white
 from gpusim.color.color import TransformSet, color_matrix, transform_set
-from gpusim.color.root_polynomial import slopes_of
+from gpusim.color.root_polynomial import linearise
 from gpusim.data.colorimetry import adaptation, xyz
 from gpusim.data.lights import illuminant
 from gpusim.data.weights import product_weights
@@ -52,10 +52,7 @@ class Rendering:
 
         It is `display_from_camera` unless that is of root-polynomial terms.
         """
-        matrix = self.display_from_camera
-        if matrix.shape[1] == len(self.neutral):
-            return matrix
-        return matrix @ slopes_of(self.neutral, matrix.shape[1])
+        return linearise(self.display_from_camera, self.neutral)
 
 
 @dataclass(frozen=True, eq=False)

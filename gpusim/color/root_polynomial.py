@@ -49,6 +49,20 @@ def slopes_of(channels: np.ndarray, count: int) -> np.ndarray:
     return terms_of(channels, count)[..., None] * exponents / channels[..., None, :]
 
 
+def linearise(matrix: np.ndarray, neutral: np.ndarray) -> np.ndarray:
+    """Return the matrix of the channels themselves that is nearest to a matrix of terms at grey.
+
+    Args:
+        matrix: Matrix of the channels, shape (3, C), returned as it is; or of terms, (3, 6 or 13).
+        neutral: Response to white in any scale, shape (C,).
+
+    Returns:
+        Matrix, shape (3, C). White becomes what it becomes by the terms.
+    """
+    count = matrix.shape[1]
+    return matrix if count == len(neutral) else matrix @ slopes_of(neutral, count)
+
+
 def weigh_terms(camera, xyz, bright, white, linear, count) -> tuple[np.ndarray, np.ndarray]:
     """Return the terms of a weighted least squares problem, and the XYZ wanted of them.
 

@@ -11,6 +11,7 @@ from gpusim.backends import Device
 from gpusim.color.balance import COMPARES_LIGHTS, blocks_of
 from gpusim.color.color import transform_set
 from gpusim.color.rendering import Rendering, rebalance, transform_arguments
+from gpusim.color.root_polynomial import linearise
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display, decoding
 from gpusim.domain.processor import Processor
@@ -515,7 +516,8 @@ def sharpen_picture(linear_rgb, colors, kernel, *, strength, luminance, noise, d
     """
     if kernel is None:
         return linear_rgb
-    matrix = np.asarray(colors[0], np.float64)
+    matrix, ceiling = colors  # the ceiling has the colour of white
+    matrix = linearise(np.asarray(matrix, np.float64), ceiling)
     weights = luminance @ matrix  # of camera values in the luminance
     grey = np.maximum(np.linalg.pinv(matrix) @ np.ones(3), 0)  # camera values of display white
     variances = np.array([noise[0] * weights**2 @ grey, noise[1] ** 2 * weights @ weights])

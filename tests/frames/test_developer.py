@@ -49,6 +49,7 @@ SETTINGS = {
     "red-blue": {"white_balance": "red-blue", "color": "ridge"},
     "uncorrected": {"white_balance": "shades-of-gray", "color": "none"},
     "roots": {"color": "root-polynomial"},
+    "sharp roots": {"color": "root-polynomial", "sharpen": 1.0},
     "cube roots": {"color": "root-polynomial-3", "white_balance": "max-rgb"},
     "tone": {"tone": TONE},
 }

@@ -8,7 +8,7 @@ import pytest
 from gpusim.apps.l3.train import colorimetric_channels
 from gpusim.color.color import color_matrix, transform_set
 from gpusim.color.rendering import Rendering
-from gpusim.color.root_polynomial import EXPONENTS, slopes_of, terms_of
+from gpusim.color.root_polynomial import EXPONENTS, linearise, slopes_of, terms_of
 from gpusim.data.colorimetry import xyz
 from gpusim.data.curves import curve
 from gpusim.data.lights import illuminant
@@ -139,6 +139,8 @@ def test_the_linear_matrix_of_a_rendering_is_its_slope_at_white(method):
     shown = found.matrix @ terms_of(found.white + step, COLUMNS[method])
     # second derivatives below 10 times the step squared
     np.testing.assert_allclose(shown - 1, made.linear_matrix @ step, atol=1e-8)
+    # an exposure's scale of white does not matter
+    np.testing.assert_allclose(linearise(found.matrix, 0.3 * found.white), made.linear_matrix)
     plain = color_matrix(camera(), "A", "objects")
     rendering = replace(made, display_from_camera=plain.matrix)
     assert rendering.linear_matrix is plain.matrix
