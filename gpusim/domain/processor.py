@@ -121,7 +121,6 @@ class Processor:
             removes noise, for any mosaic of red, green and blue). Mosaics that are not Bayer take
             "bilinear", "learned" or "network".
         table: Filters of "learned"; None: the built-in ones for Bayer mosaics.
-        network: Weights of "network"; None: the built-in ones.
         white_balance: "illuminant" (the light of the scene is known; a perfect diffuser becomes
             neutral), an estimate from the picture ("bayesian", which errs least, "gray-world",
             "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white has the
@@ -144,6 +143,7 @@ class Processor:
             look's.
         look: Name of LOOKS: choices of denoise, tone and sharpen where these are None. "linear" has
             none of them.
+        network: Weights of demosaic "network"; None: the built-in ones.
         white: Camera values of white for white balance "preset", one per channel, any scale.
 
     Raises:
@@ -157,7 +157,6 @@ class Processor:
     denoise: float | None = None
     demosaic: str = "bilinear"
     table: FilterTable | None = None
-    network: Network | None = None
     white_balance: str = "illuminant"
     color: str = "white-preserving"
     training: str = "objects"
@@ -166,6 +165,7 @@ class Processor:
     tone: tuple | str | None = None
     sharpen: float | None = None
     look: str = "linear"
+    network: Network | None = None
     white: tuple[float, ...] = ()
 
     __repr__ = short_repr
