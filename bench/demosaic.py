@@ -7,7 +7,7 @@ Every sub-folder of DIR with PNG pictures is a set. RGGB, 8 bits, interpolated i
 For `best` there are also separate means over the first, third .. picture of each set, on which its
 constants were chosen, and over the others. Further tables: a lens that blurs (Gaussian on linear
 light, CPSNR after sRGB encoding), and Poisson noise with 2 e- read noise at a mean of 5 .. 1000
-electrons.
+electrons; and X-Trans and quad-Bayer mosaics, by weighted means and by the built-in filters.
 """
 
 import sys
@@ -17,7 +17,13 @@ from pathlib import Path
 import numpy as np
 from results import Tables, finish, parser, ready, start
 
+from gpusim.apps.l3.photographs import sample_mosaic
 from gpusim.domain.errors import BadFile
+from gpusim.domain.guided import BUILT_IN
+from gpusim.domain.mosaics import MOSAICS
+from gpusim.io.camera.guided import guided_table
+from gpusim.kernels.processor.guided import guided
+from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.stage import public_function
 
 TESTS = Path(__file__).parents[1] / "tests"  # the protocol is theirs
@@ -63,6 +69,33 @@ def quality(tables, device, sets):
                 )
 
 
+def other_mosaics(tables, device, sets):
+    """Return the CPSNR of mosaics that are not Bayer's, in the pictures' encoding."""
+    tables.table(
+        "CPSNR [dB] of other mosaics, interpolated as encoded, weighted means / built-in filters",
+        "",
+        *(f"{name} ({len(images)})" for name, images in sets.items()),
+    )
+    for name in BUILT_IN:
+        cells = []
+        for images in sets.values():
+            found = np.mean([_of_mosaic(image, name, device) for image in images], axis=0)
+            cells.append(" / ".join(f"{value:.2f}" for value in found))
+        tables.row(name, *cells)
+
+
+def _of_mosaic(image, name, device):
+    """Return the CPSNR of weighted means and of the built-in filters on a picture."""
+    from test_demosaic import cpsnr
+
+    options = {"black_level": 0.0, "scale": 1 / 255, "device": device}
+    raw = sample_mosaic(np.moveaxis(image, 2, 0), MOSAICS[name]).astype(np.uint16)
+    cfa = np.array([["RGB".index(letter) for letter in text] for text in MOSAICS[name]])
+    filters = {"phase": MOSAICS[name], "domain": "linear", "table": guided_table(name)}
+    planes = interpolate(raw, cfa=cfa, **options), guided(raw, **filters, **options)
+    return [cpsnr(255 * np.moveaxis(picture, 0, 2), image) for picture in planes]
+
+
 def seen(tables, device, sets):
     """Return the CPSNR for the pictures as a camera sees them: blurred and noisy."""
     from test_best import captured
@@ -95,7 +128,7 @@ def seen(tables, device, sets):
 
 
 def main():
-    """Print both tables, and write them if requested."""
+    """Print the tables, and write them if requested."""
     made = parser(__doc__)
     made.add_argument(
         "--photographs",
@@ -122,6 +155,7 @@ def main():
     sets, tables = {path.name: list(photographs(path)) for path in found}, Tables()
     quality(tables, device, sets)
     seen(tables, device, sets)
+    other_mosaics(tables, device, sets)
     finish(arguments, "demosaic", device, tables.rows, old, columns=tables.columns)
 
 

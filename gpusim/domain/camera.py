@@ -5,6 +5,7 @@ from typing import Any
 
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.guided import BUILT_IN, COLORS, built_in_name
 from gpusim.domain.labels import Tabled
 from gpusim.domain.network import served_square
 from gpusim.domain.optics import Optics
@@ -111,6 +112,24 @@ class Camera(Tabled):
         return apply_changes(self, changes)
 
     @property
+    def demosaic_method(self) -> str:
+        """The processor's demosaicking method, with "auto" replaced by what suits the mosaic.
+
+        That is "learned" for mosaics other than Bayer's that have built-in filters, else
+        "bilinear".
+        """
+        name = self.processor.demosaic
+        if name != "auto":
+            return name
+        return "learned" if self.built_in_filters and not self.sensor.stacked else "bilinear"
+
+    @property
+    def built_in_filters(self) -> str | None:
+        """Name of the mosaic whose built-in filters serve the sensor, None for Bayer and others."""
+        sensor = self.sensor
+        return built_in_name(sensor.cfa) if sensor.channels == COLORS else None
+
+    @property
     def is_developed_at_once(self) -> bool:
         """True if one pass turns raw values into display codes.
 
@@ -119,7 +138,7 @@ class Camera(Tabled):
         """
         sensor, processor = self.sensor, self.processor
         return (
-            processor.demosaic == "bilinear"
+            self.demosaic_method == "bilinear"
             and sensor.bayer_phase is not None
             and not sensor.stacked
             and sensor.bits != FLOAT_BITS
@@ -141,6 +160,11 @@ class Camera(Tabled):
                 'three channels; use "white-preserving"',
             )
 
+    @property
+    def _demosaics(self):
+        """The methods for a mosaic that is not Bayer's, without a table."""
+        return ("bilinear", "learned") if self.built_in_filters else ("bilinear",)
+
     def _check_mosaic(self):
         sensor, processor = self.sensor, self.processor
         if sensor.is_monochrome or sensor.stacked:
@@ -156,8 +180,12 @@ class Camera(Tabled):
                 )
         elif processor.demosaic == "network":
             served_square(sensor.cfa)  # OutOfRange if the network cannot serve it
-        elif not sensor.bayer_phase and processor.demosaic != "bilinear":
-            allowed = '"bilinear", "learned" with a table made by `gpusim train-l3`, or "network"'
+        elif not sensor.bayer_phase and self.demosaic_method not in self._demosaics:
+            allowed = (
+                '"auto", "bilinear", "learned" with a table made by `gpusim train-l3`, or "network"'
+            )
+            if processor.demosaic == "learned":
+                allowed += f"; without a table Bayer, {' and '.join(BUILT_IN)} mosaics of R, G, B"
             raise OutOfRange(
                 "processor.demosaic", f'"{processor.demosaic}" of the mosaic {mosaic}', allowed
             )

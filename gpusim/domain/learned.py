@@ -356,25 +356,33 @@ class Layout:
         Raises:
             UnknownName: The table is for another mosaic.
         """
-        texts = (
-            (mosaic[:2], mosaic[2:])
-            if isinstance(mosaic, str) and len(mosaic) == 4
-            else tuple(mosaic)
-        )
-        rows, cols = self.period
-        own = np.array([list(text) for text in self.mosaic])
-        given = (
-            np.array([list(text) for text in texts])
-            if {*map(len, texts)} == {len(texts[0])}
-            else own[:0]
-        )
-        if given.size and not len(given) % rows and not given.shape[1] % cols:
-            wide = np.tile(own, (len(given) // rows, given.shape[1] // cols))
-            for row in range(rows):
-                for col in range(cols):
-                    if np.array_equal(np.roll(wide, (-row, -col), (0, 1)), given):
-                        return row, col
-        raise UnknownName("mosaic", "/".join(texts), ["/".join(self.mosaic)])
+        return find_shift(self.mosaic, mosaic)
+
+
+def find_shift(table, mosaic) -> tuple[int, int]:
+    """Return the row and column of a table's period at which a mosaic begins.
+
+    Args:
+        table: One period of the table's mosaic, rows of letters.
+        mosaic: Rows of letters, or four letters of a Bayer mosaic like "RGGB".
+
+    Raises:
+        UnknownName: The table is for another mosaic.
+    """
+    texts = (
+        (mosaic[:2], mosaic[2:]) if isinstance(mosaic, str) and len(mosaic) == 4 else tuple(mosaic)
+    )
+    rows, cols = len(table), len(table[0])
+    own = np.array([list(text) for text in table])
+    is_even = {*map(len, texts)} == {len(texts[0])}
+    given = np.array([list(text) for text in texts]) if is_even else own[:0]
+    if given.size and not len(given) % rows and not given.shape[1] % cols:
+        wide = np.tile(own, (len(given) // rows, given.shape[1] // cols))
+        for row in range(rows):
+            for col in range(cols):
+                if np.array_equal(np.roll(wide, (-row, -col), (0, 1)), given):
+                    return row, col
+    raise UnknownName("mosaic", "/".join(texts), ["/".join(table)])
 
 
 @dataclass(frozen=True)

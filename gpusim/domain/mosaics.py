@@ -108,3 +108,28 @@ def shortest_period(mosaic) -> np.ndarray:
         )
         mosaic = mosaic.take(range(period), axis=axis)
     return mosaic
+
+
+def symmetries(mosaic, exchanges=({},)):
+    """Yield mirror images, transposes and shifts that map a mosaic to itself.
+
+    Args:
+        mosaic: Rows of one period.
+        exchanges: Letters that take each other's place, a dict for each way; {} for none.
+
+    Yields:
+        The new position of each position, shape (P,); whether rows and columns are exchanged; signs
+        of rows and columns after that, shape (2,); the letters that take each other's place.
+    """
+    letters = np.array([list(text) for text in mosaic])
+    rows, cols = letters.shape
+    for transpose in (False, True) if rows == cols else (False,):
+        for signs in np.array(((1, 1), (1, -1), (-1, 1), (-1, -1))):
+            for exchange in exchanges:
+                swapped = [exchange.get(letter, letter) for letter in letters.ravel()]
+                places = np.indices((rows, cols)).reshape(2, -1)
+                places = (places[::-1] if transpose else places) * signs[:, None]
+                for down, right in np.ndindex(rows, cols):
+                    y, x = (places[0] + down) % rows, (places[1] + right) % cols
+                    if swapped == letters[y, x].tolist():
+                        yield y * cols + x, transpose, signs, exchange

@@ -12,7 +12,7 @@ from gpusim.domain.short_repr import short_repr
 from gpusim.domain.tone import NO_TONE, TONES
 
 DEFECTS = ("none", "known", "detect")
-DEMOSAICS = ("bilinear", "malvar", "adaptive", "best", "learned", "network")
+DEMOSAICS = ("auto", "bilinear", "malvar", "adaptive", "best", "learned", "network")
 WHITE_BALANCES = (
     "illuminant",
     "bayesian",
@@ -86,11 +86,11 @@ def fit_to_mosaic(cfa, before, is_stacked: bool, known: dict, free: set) -> dict
     """
     letters, old = set("".join(cfa)), set("".join(before))
     changes = {}
-    demosaic, color = known.get("demosaic", "bilinear"), known.get("color", "white-preserving")
+    demosaic, color = known.get("demosaic", "auto"), known.get("color", "white-preserving")
     is_bayer = bayer_phase(cfa) is not None
-    suits = demosaic in ("bilinear", "learned") or (demosaic == "network" and is_served(cfa))
+    suits = demosaic in ("auto", "learned") or (demosaic == "network" and is_served(cfa))
     if not (is_bayer or is_stacked or len(letters) < 2 or suits):
-        changes["demosaic"] = "bilinear"
+        changes["demosaic"] = "auto"
     if len(letters) < 3 and color != "none":
         changes["color"] = "none"
     elif len(letters) >= 3 > len(old) and color == "none":
@@ -119,8 +119,11 @@ class Processor:
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
             blur), "learned" (local linear filters from a table), "network" (a small network that also
             removes noise, for any mosaic of red, green and blue). Mosaics that are not Bayer take
-            "bilinear", "learned" or "network".
-        table: Filters of "learned"; None: the built-in ones for Bayer mosaics.
+            "bilinear" (weighted means), "learned" or "network". "auto": "learned" for X-Trans and
+            quad-Bayer mosaics of red, green and blue, "bilinear" for all others (see
+            `Camera.demosaic_method`).
+        table: Filters of "learned"; None: the built-in ones, for Bayer, X-Trans and quad-Bayer
+            mosaics.
         white_balance: "illuminant" (the light of the scene is known; a perfect diffuser becomes
             neutral), an estimate from the picture ("bayesian", which errs least, "gray-world",
             "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white has the
@@ -155,7 +158,7 @@ class Processor:
     defects: str = "none"
     shading: bool = False
     denoise: float | None = None
-    demosaic: str = "bilinear"
+    demosaic: str = "auto"
     table: FilterTable | None = None
     white_balance: str = "illuminant"
     color: str = "white-preserving"

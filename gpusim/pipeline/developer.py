@@ -18,6 +18,7 @@ from gpusim.domain.processor import Processor
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.domain.tone import NO_TONE, TONES
+from gpusim.io.camera.guided import guided_table
 from gpusim.kernels.display.encode import encode, thresholds
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.best import best
@@ -26,6 +27,7 @@ from gpusim.kernels.processor.color import color
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.denoise import denoise
 from gpusim.kernels.processor.develop import develop
+from gpusim.kernels.processor.guided import guided
 from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
@@ -78,12 +80,8 @@ def edges_of(display: Display, tone) -> np.ndarray:
     return thresholds(decoding(display, tone))
 
 
-SCRATCH = {
-    "adaptive": 2,
-    "best": 28,
-    "learned": 6,
-    "network": 170,
-}  # memory of a demosaicker [byte per pixel]
+# memory of a demosaicker [byte per pixel]
+SCRATCH = {"adaptive": 2, "best": 28, "learned": 6, "guided": 44, "network": 170}
 
 
 class Developer:
@@ -273,7 +271,7 @@ class Developer:
         """Add the step to camera values of each pixel, (C, rows, cols), white level 1."""
         sensor, processor = self.camera.sensor, self.camera.processor
         constants: dict[str, Any] = {"black_level": numbers.black, "scale": numbers.scale}
-        name, method = "", processor.demosaic
+        name, method, table_bytes = "", self.camera.demosaic_method, 0
         run: Callable
         others: list[str]
         if sensor.stacked:
@@ -282,6 +280,18 @@ class Developer:
             run, others = separate_layers, []
         elif sensor.is_monochrome:
             stage, words, run, others = "processor.linear", "monochrome", linear, []
+        elif method == "learned" and not (processor.table or sensor.bayer_phase):
+            stage, run, others = "processor.guided", demosaic_balanced, ["neutral"]
+            mosaic = self.camera.built_in_filters
+            table_bytes = guided_table(mosaic).device_bytes
+            words, name = f"filters for {mosaic}, chosen on a first picture, built in", "guided"
+            constants |= {
+                "demosaic": guided,
+                "phase": sensor.cfa,
+                "noise": numbers.noise if numbers.noise[0] else (0.0, 0.0),
+                "table": guided_table(mosaic),
+                "places": self._places,
+            }
         elif method == "learned":
             stage, run, others = "processor.learned", demosaic_balanced, ["neutral"]
             words = "learned local linear filters" + ("" if processor.table else ", built in")
@@ -333,7 +343,7 @@ class Developer:
             *others,
             run=run,
             words=words,
-            nbytes=(SCRATCH.get(name, 0) + 4 * channels) * area,
+            nbytes=(SCRATCH.get(name, 0) + 4 * channels) * area + table_bytes,
             work=float(pixels),
         )
 

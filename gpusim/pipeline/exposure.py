@@ -59,7 +59,7 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
     }
     scaling = {"scaling": processor.scaling, "pixels": readout.pixels}
     of_lens = {"plan": plan, "tables": imaging.tables}
-    blurred = of_lens if processor.demosaic == "best" else {}
+    blurred = of_lens if camera.demosaic_method == "best" else {}
     sharpened = of_lens if processor.sharpening else {}
     steps = [
         *imaging.steps(plan),

@@ -94,7 +94,7 @@ def _camera(camera):
         ("exposure", time),
         (
             "processor",
-            f"{processor.demosaic}, colour {processor.color}, display {camera.display.name}",
+            f"{camera.demosaic_method}, colour {processor.color}, display {camera.display.name}",
         ),
     ]
     return _table(f"Camera {camera.name}", rows)

@@ -34,6 +34,7 @@ CAMERAS = {
     "stacked": camera_with(sensor={"stacked": True}),
     "best": camera_with(processor={"demosaic": "best"}),
     "learned": camera_with(processor={"demosaic": "learned"}),
+    "x-trans": PHONE.with_(cfa="x-trans"),
     "network": camera_with(processor={"demosaic": "network"}),
     "corrected": camera_with(
         processor={"denoise": 1.0, "sharpen": 1.0, "shading": True, "defects": "detect"}

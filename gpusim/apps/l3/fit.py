@@ -11,6 +11,7 @@ import numpy as np
 
 from gpusim.domain.errors import BadData
 from gpusim.domain.learned import Code, FilterTable, Layout
+from gpusim.domain.mosaics import symmetries as find_symmetries
 from gpusim.kernels.processor.learned_ref import classify, hats, positions, sum_groups
 
 
@@ -223,38 +224,28 @@ def symmetries(layout: Layout, exchanges=()):
     Returns a list of (positions (P,), classes (K,), groups (G,), outputs): the new index of each of
     them.
     """
-    rows, cols = layout.period
-    letters = np.array([list(text) for text in layout.mosaic])
     index = {tuple(tap): n for n, tap in enumerate(layout.taps.tolist())}
     steps = np.stack(np.divmod(np.arange(layout.classes), layout.kinds))
     swaps: list[dict[str, str]] = [{}]
     for one, two in exchanges:
         swaps += [{**swap, one: two, two: one} for swap in swaps]
     found = []
-    for transpose in (False, True) if layout.alike else (False,):
-        for sign in np.array(((1, 1), (1, -1), (-1, 1), (-1, -1))):
-            turned = (layout.taps[:, ::-1] if transpose else layout.taps) * sign
-            moved = [index.get(tuple(tap), -1) for tap in turned.tolist()]
-            if -1 in moved:
-                continue
-            groups = np.full(layout.shape[-1], -1)
-            groups[layout.groups] = layout.groups[moved]
-            if not np.array_equal(groups[layout.groups], layout.groups[moved]):
-                continue
-            direction = (2 * len(layout.ratios) - steps[0]) if transpose else steps[0]
-            classes = direction * layout.kinds + steps[1]
-            for swap in swaps:
-                outputs = [swap.get(name, name) for name in layout.outputs]
-                if not set(outputs) <= set(layout.outputs):
-                    continue
-                numbers = [layout.outputs.index(name) for name in outputs]
-                swapped = [swap.get(letter, letter) for letter in letters.ravel()]
-                places = np.indices((rows, cols)).reshape(2, -1)
-                places = (places[::-1] if transpose else places) * sign[:, None]
-                for down, right in np.ndindex(rows, cols):
-                    y, x = (places[0] + down) % rows, (places[1] + right) % cols
-                    if swapped == letters[y, x].tolist():
-                        found.append((y * cols + x, classes, groups, numbers))
+    for places, transpose, sign, swap in find_symmetries(layout.mosaic, swaps):
+        if transpose and not layout.alike:
+            continue
+        turned = (layout.taps[:, ::-1] if transpose else layout.taps) * sign
+        moved = [index.get(tuple(tap), -1) for tap in turned.tolist()]
+        if -1 in moved:
+            continue
+        groups = np.full(layout.shape[-1], -1)
+        groups[layout.groups] = layout.groups[moved]
+        if not np.array_equal(groups[layout.groups], layout.groups[moved]):
+            continue
+        direction = (2 * len(layout.ratios) - steps[0]) if transpose else steps[0]
+        outputs = [swap.get(name, name) for name in layout.outputs]
+        if set(outputs) <= set(layout.outputs):
+            numbers = [layout.outputs.index(name) for name in outputs]
+            found.append((places, direction * layout.kinds + steps[1], groups, numbers))
     return found
 
 

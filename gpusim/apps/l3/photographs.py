@@ -64,13 +64,13 @@ def train(folders, path):
     pictures = [sorted(Path(folder).glob("[!.]*.png")) for folder in folders]
     found = NormalEquations(layout(MOSAIC, "RGB", noise=SIGMAS))
     for half in (0, 1):
-        some = (_rgb(file) for files in pictures for file in files[half::2])
+        some = (read_rgb(file) for files in pictures for file in files[half::2])
         found.merge(equations(some, seed=1 + half))
     write_table(path, table(found, provenance([file.stem for files in pictures for file in files])))
 
 
-def _rgb(file):
-    """Three channels of a photograph, 0 .. 255."""
+def read_rgb(file):
+    """Return the three channels of a photograph, 0 .. 255. Raises BadFile."""
     photo = open_photo(file)
     samples = photo.samples
     if samples.shape[-1] != 3 or samples.dtype != np.uint8 or not photo.coding.is_srgb:
@@ -110,10 +110,12 @@ def electron_code(sigma):
     return Code("root", 0.0, 1 / white, (1.0, READ))
 
 
-def sample_mosaic(planes):
-    """Planes (3, rows, cols) seen through the mosaic, (rows, cols)."""
-    raw = planes[1].copy()
-    raw[::2, ::2], raw[1::2, 1::2] = planes[0, ::2, ::2], planes[2, 1::2, 1::2]
+def sample_mosaic(planes, mosaic=MOSAIC):
+    """Planes (3, rows, cols) of R, G, B seen through a mosaic, rows of letters, (rows, cols)."""
+    raw = np.empty(planes.shape[1:], planes.dtype)
+    rows, cols = len(mosaic), len(mosaic[0])
+    for row, col in np.ndindex(rows, cols):
+        raw[row::rows, col::cols] = planes["RGB".index(mosaic[row][col]), row::rows, col::cols]
     return raw
 
 
