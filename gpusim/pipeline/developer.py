@@ -33,7 +33,7 @@ from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
 from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.processor.malvar import malvar
-from gpusim.kernels.processor.network import network
+from gpusim.kernels.processor.network import network, network_memory
 from gpusim.kernels.processor.quantise import quantise
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.sharpen import detail_gain, sharpen
@@ -81,7 +81,7 @@ def edges_of(display: Display, tone) -> np.ndarray:
 
 
 # memory of a demosaicker [byte per pixel]
-SCRATCH = {"adaptive": 2, "best": 28, "learned": 6, "guided": 44, "network": 170}
+SCRATCH = {"adaptive": 2, "best": 28, "learned": 6, "guided": 44}
 
 
 class Developer:
@@ -133,7 +133,7 @@ class Developer:
         processor, pixels = camera.processor, prod(shape)
         chain = Chain("raw", "camera", Rate.FRAME, device)
         numbers = self._correct(chain, pixels)
-        self._demosaic(chain, numbers, pixels)
+        self._demosaic(chain, numbers, shape)
         steps = [
             Step("neutral", "", ("rendering",), run=neutral_of, rate=Rate.EXPOSURE),
             *chain.end(),
@@ -267,11 +267,11 @@ class Developer:
             numbers = numbers.on_corrected_scale()
         return numbers
 
-    def _demosaic(self, chain: Chain, numbers: "_Numbers", pixels: int) -> None:
+    def _demosaic(self, chain: Chain, numbers: "_Numbers", shape: tuple[int, int]) -> None:
         """Add the step to camera values of each pixel, (C, rows, cols), white level 1."""
         sensor, processor = self.camera.sensor, self.camera.processor
         constants: dict[str, Any] = {"black_level": numbers.black, "scale": numbers.scale}
-        name, method, table_bytes = "", self.camera.demosaic_method, 0
+        name, method, more_bytes = "", self.camera.demosaic_method, 0
         run: Callable
         others: list[str]
         if sensor.stacked:
@@ -283,7 +283,7 @@ class Developer:
         elif method == "learned" and not (processor.table or sensor.bayer_phase):
             stage, run, others = "processor.guided", demosaic_balanced, ["neutral"]
             mosaic = self.camera.built_in_filters
-            table_bytes = guided_table(mosaic).device_bytes
+            more_bytes = guided_table(mosaic).device_bytes
             words, name = f"filters for {mosaic}, chosen on a first picture, built in", "guided"
             constants |= {
                 "demosaic": guided,
@@ -310,7 +310,7 @@ class Developer:
             words = "demosaicking and denoising by a network" + (
                 "" if processor.network else ", built in"
             )
-            name = method
+            more_bytes = network_memory(*shape, processor.network)
             constants |= {
                 "demosaic": network,
                 "cfa": sensor.cfa,
@@ -335,7 +335,7 @@ class Developer:
             if method == "best":
                 others.append("blur")
                 constants |= {"noise": numbers.noise}
-        channels = 3 if processor.table is not None else len(sensor.channels)
+        channels, pixels = 3 if processor.table is not None else len(sensor.channels), prod(shape)
         area = pixels // (len(sensor.channels) if sensor.stacked else 1)
         chain.add(
             stage,
@@ -343,7 +343,7 @@ class Developer:
             *others,
             run=run,
             words=words,
-            nbytes=(SCRATCH.get(name, 0) + 4 * channels) * area + table_bytes,
+            nbytes=(SCRATCH.get(name, 0) + 4 * channels) * area + more_bytes,
             work=float(pixels),
         )
 

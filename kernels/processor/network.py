@@ -96,8 +96,7 @@ def network(
     colors = _color_table(device, tuple(cfa))
     rows, cols = raw.shape
     margin = 2 * prepared.layers
-    high, wide = ((n + n % 2) // 2 + 2 * prepared.layers for n in (rows, cols))  # [block]
-    stride = -(-(wide + GUARD + 1) // RUN) * RUN
+    high, wide, stride = _block_sizes(rows, cols, prepared.layers)
     height, width = 2 * high + 2 * REACH, 2 * wide + 2 * REACH  # [pixel]
     factors = tuple(map(float, np.sqrt((balance[0], 1.0, balance[1]))))
     is_root = int(domain == "root")
@@ -116,30 +115,30 @@ def network(
         (2 * high, 2 * wide),
         *(samples, prepared.taps, guess, height, width),
     )
-    planes = [device.empty((INPUTS, high + 2, stride))]
-    launch("pack", (high, wide), *(samples, guess, planes[0], high, wide, stride))
+    most = max(INPUTS, *prepared.outputs)
+    blocks, other = (device.empty((most, high + 2, stride)) for _ in range(2))
+    launch("pack", (high, wide), *(samples, guess, blocks, high, wide, stride))
     for number in range(prepared.layers):
-        outputs = prepared.outputs[number]
-        kind = 2 if number == prepared.layers - 1 else int(number > 0)
-        planes.append(device.empty((outputs, high + 2, stride)))
-        _convolve(device, prepared, number, planes, kind, (high, wide, stride))
-        planes = planes[-1:] if len(planes) > 2 else planes
+        _convolve(device, prepared, number, (blocks, other), (high, wide, stride))
+        blocks, other = other, blocks
     out = device.empty((3, rows, cols))
     launch(
         "decode",
         (rows, cols),
-        *(guess, planes[-1], out),
+        *(guess, blocks, out),
         *(float(offset), *factors, is_root, margin, high, wide, stride, rows, cols),
     )
     return out
 
 
-def _convolve(device, prepared, number, planes, kind, sizes):
-    """Start one layer, from the last but one of `planes` to the last. kind: 0 the first, 1, 2 the last."""
+def _convolve(device, prepared, number, planes, sizes):
+    """Start one layer. planes: of its inputs, and for its outputs; there may be more planes than it uses."""
     high, wide, stride = sizes
+    kind = 2 if number == prepared.layers - 1 else int(number > 0)
     launch = functools.partial(device.launch, "processor.network", "convolve")
-    arrays = (planes[-2], prepared.weights[number], prepared.biases[number], planes[-1])
-    inputs, outputs = planes[-2].shape[0], planes[-1].shape[0]
+    arrays = (planes[0], prepared.weights[number], prepared.biases[number], planes[1])
+    inputs = prepared.outputs[number - 1] if number else INPUTS
+    outputs = prepared.outputs[number]
     numbers = (kind, inputs, outputs, high, stride)
     if device.is_gpu:
         shared = max(1, 4 * GROUP // outputs)  # groups of rows, so that a work-group has four parts
@@ -164,6 +163,27 @@ def _convolve(device, prepared, number, planes, kind, sizes):
         launch((high, stride // RUN), *arrays, *numbers, group=(1, 1))
     else:
         launch((outputs // GROUP, high, wide), *arrays, *numbers)
+
+
+def network_memory(rows: int, cols: int, weights: Network | None = None) -> int:
+    """Return the memory that `network` uses beside its result [byte].
+
+    Args:
+        rows: Rows of the mosaic.
+        cols: Columns of the mosaic.
+        weights: The network; None for the built-in one.
+    """
+    trained = built_in_network() if weights is None else weights
+    high, wide, stride = _block_sizes(rows, cols, len(trained.weights))
+    planes = max(INPUTS, *map(len, trained.biases))
+    samples = 7 * (2 * high + 2 * REACH) * (2 * wide + 2 * REACH)
+    return 4 * (samples + 12 * high * wide + 2 * planes * (high + 2) * stride)
+
+
+def _block_sizes(rows, cols, layers):
+    """Return rows and columns of blocks with their margin, and the columns of a plane."""
+    high, wide = ((n + n % 2) // 2 + 2 * layers for n in (rows, cols))
+    return high, wide, -(-(wide + GUARD + 1) // RUN) * RUN
 
 
 class _Prepared:
