@@ -61,19 +61,6 @@ def test_a_flat_field_stays_flat(name):
         assert np.abs(255 * planes - level).max() < (1.5 if name == "nona-bayer" else 1.0), level
 
 
-@pytest.mark.parametrize("name", ["bayer-rggb", "x-trans"])
-def test_it_is_continuous_as_noise_goes_to_zero(name):
-    raw = RANDOM.integers(500, 3000, (24, 30)).astype(np.uint16)
-    options = {"cfa": mosaic(name), **OPTIONS, "device": "opencl"}
-    without = network(raw, **options)
-    steps = [
-        np.abs(network(raw, **options, noise=(gain, 0.0)) - without).max()
-        for gain in (1e-2, 1e-4, 1e-6)
-    ]
-    # the noise that it is told, and the offset of the codes, are roots of the gain: a tenth each
-    assert steps[0] > 5 * steps[1] > 25 * steps[2] and steps[2] < 1e-3 * without.max()
-
-
 def test_shifts_of_the_mosaic_are_shifts_of_the_picture():
     """In the middle, by two pixels: blocks begin there again."""
     raw = RANDOM.integers(500, 3000, (64, 64)).astype(np.uint16)
