@@ -104,7 +104,10 @@ def picture_for(key, value, inputs):
     colors = photograph(*value.shape[-2:])
     count = int(np.prod(value.shape[:-2], dtype=int))
     if value.ndim == 2 or key in RAW:
-        period = np.asarray(inputs.get("cfa", [[0, 1], [1, 2]])) % 3
+        rows = inputs.get("cfa", ("RG", "GB"))  # letters, or indices of channels
+        if isinstance(rows[0], str):
+            rows = [["RGB".index(letter) for letter in row] for row in rows]
+        period = np.asarray(rows) % 3
         y, x = np.indices(value.shape[-2:])
         one = np.take_along_axis(colors, period[y % len(period), x % len(period[0])][None], 0)[0]
         planes = np.broadcast_to(one, (count, *one.shape))

@@ -17,6 +17,20 @@ def mirror(i: int, n: int):
 
 
 @wp.func
+def outside(i: int, n: int, period: int):
+    """Return the pixel in place of pixel i: mirrored, or whole periods away."""
+    j = i
+    if i < 0 or i >= n:
+        if period <= 2:
+            j = mirror(i, n)
+        elif i < 0:
+            j = (i % period + period) % period
+        else:
+            j = n - period + (i - n) % period
+    return j
+
+
+@wp.func
 def own_plane(y: int, red_row: int):
     """Return the plane of the colour that row `y` samples besides green: 0 (red) or 2 (blue)."""
     return 2 * ((y ^ red_row) & 1)

@@ -6,7 +6,7 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
-from gpusim.kernels.common.bayer_warp import mirror
+from gpusim.kernels.common.bayer_warp import outside
 
 # mirrored mosaic, mirrored picture
 wp.set_module_options({"enable_backward": False, "fuse_fp": False})
@@ -15,20 +15,6 @@ GRAIN = 4096.0
 STEPS = 256.0
 values = wp.types.vector(length=8, dtype=float)
 ring = wp.types.vector(length=4 * 9, dtype=int)  # of the last columns of a box, at most 9 wide
-
-
-@wp.func
-def outside(i: int, n: int, period: int):
-    """Return the pixel in place of pixel i: mirrored, or whole periods away."""
-    j = i
-    if i < 0 or i >= n:
-        if period <= 2:
-            j = mirror(i, n)
-        elif i < 0:
-            j = (i % period + period) % period
-        else:
-            j = n - period + (i - n) % period
-    return j
 
 
 @wp.kernel

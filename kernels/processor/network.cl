@@ -2,19 +2,11 @@
 // of a row, MADE outputs of EACH vectors at once in registers; GPUs have network_tiles.cl. Planes of blocks have a row above and below and GUARD columns before them. What is there
 // is never written; it reaches only the margin of the frame, a block further with each layer.
 #pragma OPENCL FP_CONTRACT ON
+#include "bayer.clh"
 #define GUARD_COLUMNS 8
 #define MADE 6
 #define EACH 2
 #define ALONG 64
-
-// The pixel in place of pixel i of n: mirrored, or whole periods away, so that the mosaic goes on.
-inline int outside(const int i, const int n, const int period)
-{
-    if (i >= 0 && i < n) return i;
-    if (period > 2) return i < 0 ? (i % period + period) % period : n - period + (i - n) % period;
-    const int twice = 2 * (n - 1), place = (i % twice + twice) % twice;
-    return place < n ? place : twice - place;
-}
 
 __kernel void encode(
     // in:

@@ -3,27 +3,12 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
+from gpusim.kernels.common.bayer_warp import outside
+
 wp.set_module_options({"enable_backward": False})
 
 GUARD_COLUMNS = 8
 outputs_at_once = wp.types.vector(length=12, dtype=float)
-
-
-@wp.func
-def outside(i: int, n: int, period: int):
-    """Return the pixel in place of pixel i of n: mirrored, or whole periods away, so that the mosaic goes on."""
-    j = i
-    if i < 0 or i >= n:
-        if period > 2:
-            j = n - period + (i - n) % period
-            if i < 0:
-                j = (i % period + period) % period
-        else:
-            twice = 2 * (n - 1)
-            j = (i % twice + twice) % twice
-            if j >= n:
-                j = twice - j
-    return j
 
 
 @wp.kernel
