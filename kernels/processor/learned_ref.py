@@ -19,6 +19,7 @@ many (see levels.py).
 
 import numpy as np
 
+from gpusim.domain.guided import GuidedTable
 from gpusim.domain.learned import Code, Layout
 from gpusim.io.camera.learned import bayer_table
 from gpusim.kernels.processor.bilinear_ref import bilinear
@@ -66,7 +67,7 @@ def learned(
     return signal * scale
 
 
-def positions(layout: Layout, shape, shift=(0, 0)):
+def positions(layout: Layout | GuidedTable, shape, shift=(0, 0)):
     """Return the number of each pixel's position in the mosaic's period, shape (rows, cols)."""
     rows, cols = (
         (np.arange(n) + first) % period
@@ -75,7 +76,7 @@ def positions(layout: Layout, shape, shift=(0, 0)):
     return np.add.outer(rows * layout.period[1], cols)
 
 
-def extend_plane(plane, layout: Layout, reach):
+def extend_plane(plane, layout: Layout | GuidedTable, reach):
     """Return the plane with `reach` more pixels on every side, in the colours of their places.
 
     It is mirrored for periods of 1 and 2, else a period is repeated.
