@@ -4,6 +4,7 @@ import struct
 import subprocess
 import sys
 from fractions import Fraction
+from types import SimpleNamespace
 
 import av
 import colour
@@ -12,7 +13,7 @@ import pytest
 from cameras import PHONE
 
 import gpusim as gs
-from gpusim.apps.video.codecs import CODECS, Encoder
+from gpusim.apps.video.codecs import CODECS, Encoder, set_decoding_times
 from gpusim.apps.video.video_frames import Film
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadFile
@@ -606,3 +607,33 @@ def test_luma_above_white_is_noted(tmp_path):
     film, scene = first(write(tmp_path / "a.mkv", [planes], "yuv444p10le"))
     assert (scene.content.codes == 65535).all()
     assert any(note.startswith("12 % of its first frame are brighter") for note in film.notes)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 5])
+@pytest.mark.parametrize("name", ["h264", "h265"])
+def test_short_segments_are_written(name, count, tmp_path):
+    """libx265 leaves the times of decoding of few frames unset: FFmpeg refused the file now and then."""
+    for _ in range(5):
+        made = Encoder(CODECS[name], (64, 128), Fraction(24), PHONE.display, (), 0)
+        kind = np.uint8 if name == "h264" else np.float32
+        list(made.segment(tmp_path / "0.nut", np.zeros((count, 64, 128, 3), kind)))
+        with av.open(str(tmp_path / "0.nut")) as file:
+            shown = [frame.time for frame in file.decode(video=0)]
+        # a container begins with the first time of decoding
+        np.testing.assert_allclose(np.subtract(shown, shown[0]), np.arange(count) / 24, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ([(0, -(2**62)), (1, 1 - 2**62)], [-2, -1]),
+        ([(0, 2**40)], [-2]),
+        ([(0, 0), (1, 1)], [0, 1]),
+        ([(4, 2), (3, 3)], [2, 3]),
+        ([], []),
+    ],
+)
+def test_times_of_decoding_that_were_not_set(given, wanted):
+    """No frame is decoded after it is shown, or much earlier; times that can be are kept."""
+    packets = [SimpleNamespace(pts=shown, dts=decoded) for shown, decoded in given]
+    assert [packet.dts for packet in set_decoding_times(packets)] == wanted

@@ -69,6 +69,7 @@ class Codec:
 
 LEAST_H265 = 64  # pixels along each axis; libx265 ends the process for fewer
 PART = ".nut"  # suffix of a segment's file, a container for any encoder
+DELAY = 2  # frames by which libx265 decodes a frame before it is shown
 MOST_FACTOR = 51  # largest constant rate factor of 8 bits
 RAW_FRAME = b"FRAME\n"
 RAW = ".y4m"  # suffix of uncompressed videos
@@ -138,6 +139,18 @@ def converter(
         return graph.pull()
 
     return convert
+
+
+def set_decoding_times(packets: list) -> list:
+    """Return the last packets of a segment, in the order of decoding, with times that a container takes.
+
+    libx265 does not set these times in a segment that is shorter than its delay. They are then what
+    its memory held, and FFmpeg refuses some.
+    """
+    if packets and not -DELAY <= (packets[0].dts or 0) <= packets[0].pts:
+        for number, packet in enumerate(packets):
+            packet.dts = number - DELAY
+    return packets
 
 
 @contextmanager
@@ -243,7 +256,7 @@ class Encoder:
                 frame.pts, frame.time_base = number, 1 / self.rate
                 container.mux(stream.encode(change(frame)))
                 yield number
-            container.mux(stream.encode(None))
+            container.mux(set_decoding_times(stream.encode(None)))
 
     @property
     def frame_bytes(self) -> int:
