@@ -68,6 +68,7 @@ def train_network(request: TrainNetworkRequest) -> int:
     """
     from tqdm import tqdm
 
+    from gpusim.apps.network.layout import PIECE
     from gpusim.apps.network.pictures import find_pictures, read_tiles
     from gpusim.domain.errors import Missing, OutOfRange
     from gpusim.io.atomic import check_output
@@ -87,7 +88,14 @@ def train_network(request: TrainNetworkRequest) -> int:
     paths = find_pictures(request.pictures)
     names = request.camera or list(CAMERAS)
     cameras = [open_camera(name) for name in names]
-    tiles = read_tiles(paths, cameras, request.device, partial(tqdm, unit="picture", disable=None))
+    tiles, used = read_tiles(
+        paths, cameras, request.device, partial(tqdm, unit="picture", disable=None)
+    )
+    if len(used) < len(paths):
+        left = len(paths) - len(used)
+        print(
+            f"{left} of {len(paths)} pictures are left out: grey, or smaller than {PIECE}x{PIECE}"
+        )
     with tqdm(total=None, unit="step", disable=None) as bar:
 
         def tell(progress: Progress):
@@ -98,7 +106,7 @@ def train_network(request: TrainNetworkRequest) -> int:
         model, state = train(
             tiles, seconds=60 * request.minutes, seed=request.seed, state=state, tell=tell
         )
-    trained = model.export(provenance(paths, names, request.seed, state["steps"]))
+    trained = model.export(provenance(used, names, request.seed, state["steps"]))
     write_network(request.out, trained)
     if request.state is not None:
         save_state(request.state, state)

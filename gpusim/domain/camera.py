@@ -7,7 +7,7 @@ from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.guided import BUILT_IN, COLORS, built_in_name
 from gpusim.domain.labels import Tabled
-from gpusim.domain.network import served_square
+from gpusim.domain.network import check_served
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import ROOT_POLYNOMIALS, Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
@@ -179,7 +179,7 @@ class Camera(Tabled):
                     '"illuminant" or "none": they balance white already',
                 )
         elif processor.demosaic == "network":
-            served_square(sensor.cfa)  # OutOfRange if the network cannot serve it
+            check_served(sensor.cfa)
         elif not sensor.bayer_phase and self.demosaic_method not in self._demosaics:
             allowed = (
                 '"auto", "bilinear", "learned" with a table made by `gpusim train-l3`, or "network"'

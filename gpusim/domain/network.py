@@ -15,7 +15,9 @@ OUTPUTS = 3 * BLOCK
 REACH = 3  # of the first guess [pixel]
 NEAR = 0.8  # standard deviation of its weights [pixel]
 LARGEST = 150_000  # weights
+GROUP = 12  # outputs that kernels make at once; divides the outputs of every layer
 LONGEST_PERIOD = 8  # rows and columns of a mosaic
+SQUARE = 4  # pixels along a side
 
 
 def spread(distance: np.ndarray) -> np.ndarray:
@@ -23,37 +25,37 @@ def spread(distance: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * (np.asarray(distance) / NEAR) ** 2).astype(np.float32)
 
 
-def served_square(cfa) -> int:
-    """Return the side of squares that have every colour of a mosaic, wherever they lie [pixel].
+def check_served(cfa) -> None:
+    """Raise OutOfRange if the network cannot serve a mosaic.
+
+    It serves mosaics like the ones that it was trained on: every SQUARE x SQUARE pixels have all
+    colours.
 
     Args:
         cfa: One period of the mosaic, a text per row.
-
-    Raises:
-        OutOfRange: The network cannot serve the mosaic.
     """
     at = np.array([list(row) for row in cfa])
-    allowed = f"a period of at most {LONGEST_PERIOD}x{LONGEST_PERIOD} pixels of R, G and B"
-    shown = "/".join(cfa)
-    if at.ndim != 2 or max(at.shape) > LONGEST_PERIOD or {*at.flat} != {*COLORS}:
-        raise OutOfRange("mosaic of the network", shown, allowed)
-    most = REACH + 1  # at a border a pixel has one side only
-    for side in range(1, most + 1):
-        repeated = np.pad(at, [(0, side - 1)] * 2, mode="wrap")
-        windows = sliding_window_view(repeated, (side, side))
-        if all((windows == color).any((2, 3)).all() for color in COLORS):
-            return side
-    raise OutOfRange(
-        "mosaic of the network", shown, f"{allowed}, all in every {most}x{most} pixels"
-    )
+    is_known = at.ndim == 2 and max(at.shape) <= LONGEST_PERIOD and {*at.flat} == {*COLORS}
+    if is_known:
+        repeated = np.pad(at, [(0, SQUARE - 1)] * 2, mode="wrap")
+        windows = sliding_window_view(repeated, (SQUARE, SQUARE))
+        is_known = all((windows == color).any((2, 3)).all() for color in COLORS)
+    if not is_known:
+        raise OutOfRange(
+            "mosaic of the network",
+            "/".join(cfa),
+            f"a period of at most {LONGEST_PERIOD}x{LONGEST_PERIOD} pixels of R, G and B, all in every "
+            f"{SQUARE}x{SQUARE} pixels",
+        )
 
 
 def is_served(cfa) -> bool:
-    """Return whether the network can serve a mosaic, see `served_square`."""
+    """Return whether the network can serve a mosaic, see `check_served`."""
     try:
-        return served_square(cfa) > 0
+        check_served(cfa)
     except OutOfRange:
         return False
+    return True
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +87,10 @@ class Network:
                 raise BadData(
                     f"network, layer {number}: weights {weight.shape} and biases {bias.shape}, "
                     f"wanted ({outputs}, {inputs}, 3, 3) and ({outputs},)"
+                )
+            if outputs % GROUP:
+                raise BadData(
+                    f"network, layer {number}: {outputs} outputs; wanted a multiple of {GROUP}"
                 )
             if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
                 raise BadData(f"network, layer {number}: numbers that are not finite")

@@ -11,7 +11,16 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName
-from gpusim.domain.network import BLOCK, COLORS, INPUTS, REACH, Network, served_square, spread
+from gpusim.domain.network import (
+    BLOCK,
+    COLORS,
+    GROUP,
+    INPUTS,
+    REACH,
+    Network,
+    check_served,
+    spread,
+)
 from gpusim.io.camera.network import built_in_network
 from gpusim.kernels.common.cases import bench_mosaic
 from gpusim.kernels.processor.adaptive import DOMAINS
@@ -20,7 +29,6 @@ from gpusim.kernels.processor.best import root_gain
 from gpusim.kernels.processor.levels import check_balance, check_noise
 from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
-GROUP = 12  # outputs that an item of Warp makes; divides the outputs of every layer
 RUN = 64  # blocks of a CPU's work-item: rows of planes are whole runs
 TILES = "processor.network_tiles"  # the kernel of GPUs
 ALONG = 32  # columns of a work-group of GPUs
@@ -77,7 +85,7 @@ def network(
         colours as inputs, and codes of constant noise (Anscombe 1948, Biometrika 35).
     """
     check_mosaic(raw, scale)
-    served_square(cfa)
+    check_served(cfa)
     least = tuple(max(2, period) for period in (len(cfa), len(cfa[0])))
     if raw.shape[0] < least[0] or raw.shape[1] < least[1]:
         raise BadData(
@@ -200,10 +208,6 @@ class _Prepared:
         self.taps = device.array(spread(np.arange(-REACH, REACH + 1)))
         self.weights, self.biases = [], []
         for weight, bias in zip(trained.weights, trained.biases, strict=True):
-            if len(bias) % GROUP:
-                raise BadData(
-                    f"network: layers of {len(bias)} outputs; wanted a multiple of {GROUP}"
-                )
             grouped = weight.reshape(-1, made, weight.shape[1], 9)
             grouped = grouped.transpose((2, 3, 0, 1) if device.is_gpu else (0, 2, 3, 1))
             self.weights.append(device.array(np.ascontiguousarray(grouped)))

@@ -461,7 +461,11 @@ def record(monkeypatch):
         (gpusim.backends.probe, "devices", lambda refresh=False: probed()),  # measured before
         (gpusim.apps.l3.train, "train", trained),
         (gpusim.io.camera.learned, "write_table", lambda path, _: Path(path).write_text("")),
-        (gpusim.apps.network.pictures, "read_tiles", lambda *asked: said(*map(str, asked[:3]))),
+        (
+            gpusim.apps.network.pictures,
+            "read_tiles",
+            lambda *asked: (said(*map(str, asked[:3])), asked[0]),
+        ),
         (gpusim.io.camera.network, "write_network", lambda path, _: Path(path).write_text("")),
         (gpusim.judge.verify, "verify", verified),
         (gpusim.judge.verify, "verify_devices", verified_by_name),

@@ -104,6 +104,7 @@ def weights(*sizes):
         ((INPUTS + 1, 12, OUTPUTS), BadData, "layer 0"),
         ((INPUTS, 12, 24, OUTPUTS), BadData, "layer 1"),
         ((INPUTS, 12, OUTPUTS + 1), BadData, "layer 1"),
+        ((INPUTS, 16, OUTPUTS), BadData, "layer 0: 16 outputs; wanted a multiple of 12"),
         ((INPUTS, 144, 144, OUTPUTS), OutOfRange, "at most 150,000"),
     ],
 )

@@ -9,7 +9,7 @@ import numpy as np
 from gpusim.apps.l3.train import training_camera
 from gpusim.apps.network.layout import PIECE, TILE
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, BadFile
+from gpusim.domain.errors import BadData, BadFile, OutOfRange
 from gpusim.io.scene.photo import lift, open_photo
 from gpusim.io.scene.scenes import open_scene
 from gpusim.pipeline.simulator import Simulator
@@ -50,7 +50,7 @@ def read_tiles(
     cameras: Sequence[Camera],
     device="auto",
     progress: Callable[[Sequence[Path]], Iterable[Path]] = iter,
-) -> np.ndarray:
+) -> tuple[np.ndarray, list[Path]]:
     """Return squares of the pictures as training wants them.
 
     Each part of a picture serves as it is, sharp. The cameras and none of them take turns to see it
@@ -63,21 +63,27 @@ def read_tiles(
         progress: Function around the iteration over pictures.
 
     Returns:
-        Square roots of linear colours, white 65535, shape (N, 3, TILE, TILE), uint16.
+        Square roots of linear colours, white 65535, shape (N, 3, TILE, TILE), uint16; and the
+        pictures that were used. Grey ones, and ones smaller than PIECE, are left out.
 
     Raises:
         BadData: No picture is large enough.
         BadFile: A picture cannot be read.
         OutOfRange: A camera has no mosaic of three channels.
     """
+    for camera in cameras:
+        if not {*"RGB"} <= {*camera.sensor.channels}:
+            allowed = "a camera with red, green and blue filters"
+            raise OutOfRange("camera to train the network for", camera.name, allowed)
     simulators = [Simulator(training_camera(camera), device=device) for camera in cameras]
     loops: list = [None] * len(simulators)
-    tiles, turn = [], 0
+    tiles, used, turn = [], [], 0
     for path in progress(paths):
         scene = open_scene(path)
         light, _, _ = open_photo(path).light()
-        if light.shape[-1] != 3:
+        if light.shape[-1] != 3 or min(light.shape[:2]) < PIECE:
             continue
+        used.append(path)
         for part in _pieces(np.moveaxis(light, -1, 0)):
             tiles += _tiles(part)
             turn += 1
@@ -94,7 +100,7 @@ def read_tiles(
                 tiles += _tiles(electrons[at] / (rates[at] * TIME)[:, None, None])
     if not tiles:
         raise BadData(f"training pictures: none of {PIECE}x{PIECE} pixels or more in colour")
-    return np.stack(tiles)
+    return np.stack(tiles), used
 
 
 def _pieces(light) -> Iterator[np.ndarray]:
