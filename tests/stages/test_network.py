@@ -8,10 +8,10 @@ from devices import ALL_KINDS
 from scipy.ndimage import gaussian_filter
 
 from gpusim.data.charts import chart
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.mosaics import MOSAICS, mosaic
 from gpusim.domain.network import INPUTS, OUTPUTS, Network, is_served
-from gpusim.io.camera.network import built_in_network
+from gpusim.io.camera.network import built_in_network, read_network, write_network
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.network import network
@@ -198,3 +198,22 @@ def test_it_is_better_than_best_in_low_light(electrons):
         )
     )
     assert ours > bests + 2
+
+
+def test_weights_in_files(tmp_path):
+    """They come back as 16-bit numbers; other versions, and files that are none, are refused."""
+    made = Network(*weights(INPUTS, 12, OUTPUTS), "a test")
+    write_network(tmp_path / "a.npz", made)
+    found = read_network(tmp_path / "a.npz")
+    for one, two in zip(found.weights, made.weights, strict=True):
+        np.testing.assert_array_equal(one, two.astype(np.float16))
+    assert found.provenance == "a test"
+    held = dict(np.load(tmp_path / "a.npz"))
+    for name, changed, message in (
+        ("old", {"version": np.array(99)}, "version 99; wanted version 1: train them again"),
+        ("short", {"weight_0": held["weight_0"][:, 1:]}, "layer 0"),
+        ("text", {"weight_0": np.array("x")}, "weight_0"),
+    ):
+        np.savez(tmp_path / f"{name}.npz", **held | changed)
+        with pytest.raises(GpusimError, match=message):
+            read_network(tmp_path / f"{name}.npz")
