@@ -7,7 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from gpusim.domain.errors import BadData, OutOfRange
 
-VERSION = 1  # of the inputs; weights of another version mean something else
+VERSION = 2  # of inputs and layers; weights of another version mean something else
 COLORS = "RGB"
 BLOCK = 4  # pixels whose values are the channels of a layer
 INPUTS = 2 * 3 * BLOCK + BLOCK  # first guess, masks, noise

@@ -97,7 +97,7 @@ __kernel void convolve(
     // out:
     __global float *restrict out,            // [outputs][high + 2][stride]
     // params:
-    const int kind,                          // 0: relu, 1: relu and its input added, 2: neither
+    const int kind,                          // 0: relu, 1: its input added, then relu, 2: neither
     // sizes:
     const int inputs, const int outputs, const int high, const int stride)
 {
@@ -134,9 +134,9 @@ __kernel void convolve(
                 const long at = (made + o) * plane + middle;
 #pragma unroll
                 for (int e = 0; e < EACH; ++e) {
-                    float8 value = kind == 2 ? sums[o][e] : fmax(sums[o][e], 0.0f);
+                    float8 value = sums[o][e];
                     if (kind == 1) value += vload8(e, blocks + at);
-                    vstore8(value, e, out + at);
+                    vstore8(kind == 2 ? value : fmax(value, 0.0f), e, out + at);
                 }
             }
         }

@@ -9,7 +9,7 @@ b the balance of their colour, (g, r) gain and read noise on the scale of x; the
 the samples up to 3 pixels away with Gaussian weights. Layers of 3 x 3 convolutions act on blocks of 2 x 2 pixels, whose
 values are channels:
 
-    v = relu(W1 * (guess, masks, noise)),   v <- v + relu(Wk * v),   guess + Wn * v,
+    v = relu(W1 * (guess, masks, noise)),   v <- relu(v + Wk * v),   guess + Wn * v,
 
 decoded to x. As far as the layers reach, Bayer mosaics are mirrored at borders, and others repeat their outermost
 period.
@@ -42,6 +42,7 @@ def network(
     noise=(0.0, 0.0),
     balance=(1.0, 1.0),
     weights=None,
+    half=False,  # not here
 ):
     """Return the stage's result, see `network.py`."""
     trained = built_in_network() if weights is None else weights
@@ -96,7 +97,7 @@ def network(
         elif number == 0:
             values = np.maximum(found, 0)
         else:
-            values = values[:, 1:-1, 1:-1] + np.maximum(found, 0)
+            values = np.maximum(values[:, 1:-1, 1:-1] + found, 0)
     blocks = values.reshape(3, 2, 2, *values.shape[1:])
     added = blocks.transpose(0, 3, 1, 4, 2).reshape(3, 2 * blocks.shape[3], -1)
     result = (guess[:, margin : margin + rows, margin : margin + cols]) + added[:, :rows, :cols]

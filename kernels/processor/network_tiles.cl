@@ -78,9 +78,8 @@ __kernel void convolve_tiles(
             for (int o = 0; o < MADE; ++o) {
                 const int at = (first + o) * plane + middle;
                 float value = sums[r][o];
-                if (kind != 2) value = fmax(value, 0.0f);
                 if (kind == 1) value += blocks[at];
-                out[at] = value;
+                out[at] = kind == 2 ? value : fmax(value, 0.0f);
             }
         }
     }

@@ -133,10 +133,10 @@ def convolve(
                 sums[o] += value * weights[made, i, k, o]
     for o in range(12):
         value = sums[o]
-        if kind != 2:
-            value = wp.max(value, 0.0)
         if kind == 1:
             value += blocks[12 * made + o, y + 1, u]
+        if kind != 2:
+            value = wp.max(value, 0.0)
         out[12 * made + o, y + 1, u] = value
 
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 from gpusim.data.charts import chart
 from gpusim.domain.errors import BadData, GpusimError, OutOfRange
 from gpusim.domain.mosaics import MOSAICS, mosaic
-from gpusim.domain.network import INPUTS, OUTPUTS, Network, is_served
+from gpusim.domain.network import INPUTS, OUTPUTS, VERSION, Network, is_served
 from gpusim.io.camera.network import built_in_network, read_network, write_network
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.interpolate import interpolate
@@ -210,7 +210,11 @@ def test_weights_in_files(tmp_path):
     assert found.provenance == "a test"
     held = dict(np.load(tmp_path / "a.npz"))
     for name, changed, message in (
-        ("old", {"version": np.array(99)}, "version 99; wanted version 1: train them again"),
+        (
+            "old",
+            {"version": np.array(99)},
+            f"version 99; wanted version {VERSION}: train them again",
+        ),
         ("short", {"weight_0": held["weight_0"][:, 1:]}, "layer 0"),
         ("text", {"weight_0": np.array("x")}, "weight_0"),
     ):

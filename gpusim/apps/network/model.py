@@ -33,7 +33,7 @@ class Model(nn.Module):
         """Return what is added to the first guess, shape (N, OUTPUTS, rows, cols)."""
         values = torch.relu(self.first(inputs))
         for layer in self.layers:
-            values = values + torch.relu(layer(values))
+            values = torch.relu(values + layer(values))
         return self.last(values)
 
     def export(self, provenance: str) -> Network:

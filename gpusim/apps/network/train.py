@@ -15,13 +15,16 @@ import torch
 from gpusim import __version__
 from gpusim.apps.network.layout import CROP, EDGE, TILE
 from gpusim.apps.network.model import Model, first_guess, network_inputs, unpack
+from gpusim.apps.network.muon import Muon
 from gpusim.domain.errors import BadFile
 from gpusim.domain.mosaics import mosaic
 from gpusim.io.atomic import atomic_path
 
 BATCH = 64
-INVERTED = 0.06  # share of channels
-RATE = 1.5e-3  # of learning, at first
+FLAT = 0.06  # share of parts of one colour: they teach equal levels
+NATURAL = 0.5  # share of parts whose colours stay
+INVERTED = 0.06  # share of channels of the others
+RATE = 2.5e-3  # of learning, at first
 WARM = 300  # steps in which the rate grows
 HALF = 0.85  # share of the time with half-precision sums
 EVERY = 20  # steps between reports
@@ -87,7 +90,10 @@ class Sampler:
             root = root.flip(3)
         if self.host.random() < 0.5:
             root = root.transpose(2, 3)
-        light = self._recolored(root).square()
+        is_natural = self._uniform(count) < NATURAL
+        light = torch.where(is_natural, root, self._recolored(root)).square()
+        is_flat = self._uniform(count) < FLAT
+        light = torch.where(is_flat, light.mean((2, 3), keepdim=True), light)
         light = light * self._uniform(count, 0.25, 1.0)
         masks = self._masks(count)
         gains = torch.cat(
@@ -162,8 +168,8 @@ class _Update:
     On CUDA its kernels are recorded once and repeated: there are hundreds of small ones.
     """
 
-    def __init__(self, model, mean, optimiser, is_half: bool):
-        self.model, self.mean, self.optimiser, self.is_half = model, mean, optimiser, is_half
+    def __init__(self, model, mean, optimisers, is_half: bool):
+        self.model, self.mean, self.optimisers, self.is_half = model, mean, optimisers, is_half
         self.graph: Any = None
         self.square: Any = None
 
@@ -191,7 +197,7 @@ class _Update:
         codes, masks, sigma, true = batch
         guess = first_guess(codes, masks)
         inputs = network_inputs(guess, masks, sigma).contiguous(memory_format=torch.channels_last)
-        self.optimiser.zero_grad(set_to_none=True)
+        self.model.zero_grad(set_to_none=True)
         kind = codes.device.type
         with torch.autocast(kind, torch.bfloat16, enabled=self.is_half, cache_enabled=False):
             added = self.model(inputs)
@@ -199,7 +205,8 @@ class _Update:
         square = error.square().mean((1, 2, 3))
         torch.sqrt(square + 1e-6).mean().backward()
         torch.nn.utils.clip_grad_norm_(self.model.parameters(), 1.0)
-        self.optimiser.step()
+        for optimiser in self.optimisers:
+            optimiser.step()
         with torch.no_grad():
             torch._foreach_lerp_(
                 list(self.mean.parameters()), list(self.model.parameters()), 1 - KEPT
@@ -240,18 +247,20 @@ def train(
     model, mean = Model().to(device), Model().to(device)
     model, mean = (one.to(memory_format=torch.channels_last) for one in (model, mean))
     rate = torch.tensor(RATE, device=device)
-    optimiser = torch.optim.Adam(
-        model.parameters(), lr=rate, betas=(0.9, 0.99), capturable=is_cuda, fused=is_cuda
-    )
+    weights = [one for one in model.parameters() if one.ndim > 1]
+    biases = [one for one in model.parameters() if one.ndim == 1]
+    adam = torch.optim.Adam(biases, rate, (0.9, 0.99), capturable=is_cuda, fused=is_cuda)
+    optimisers = [Muon(weights, rate), adam]
     done = 0
     if state is not None:
         model.load_state_dict(state["model"])
-        optimiser.load_state_dict(state["optimiser"])
-        optimiser.param_groups[0]["lr"] = rate
+        for optimiser, stored in zip(optimisers, state["optimisers"], strict=True):
+            optimiser.load_state_dict(stored)
+            optimiser.param_groups[0]["lr"] = rate
         done = state["steps"]
     mean.load_state_dict(model.state_dict())
     sampler = Sampler(tiles, device, seed + done)
-    updates = [_Update(model, mean, optimiser, is_cuda), _Update(model, mean, optimiser, False)]
+    updates = [_Update(model, mean, optimisers, is_half) for is_half in (is_cuda, False)]
     peak = RATE if state is None else RATE / 2
     begin, step = time.monotonic(), 0
     while (passed := (time.monotonic() - begin) / seconds) < 1:
@@ -262,8 +271,8 @@ def train(
         if tell and step % EVERY == 0:  # waits for the device
             quality = -10 * float(torch.log10(square).mean())
             tell(Progress(done + step, done + int(step / max(passed, 1e-9)), quality))
-    state = {"model": mean.state_dict(), "optimiser": optimiser.state_dict(), "steps": done + step}
-    return mean, state
+    stored = [optimiser.state_dict() for optimiser in optimisers]
+    return mean, {"model": mean.state_dict(), "optimisers": stored, "steps": done + step}
 
 
 def provenance(paths: Sequence[Path], cameras: Sequence[str], seed: int, steps: int) -> str:
@@ -291,7 +300,7 @@ def open_state(path: str | None) -> dict | None:
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
         Model().load_state_dict(state["model"])
-        return {key: state[key] for key in ("model", "optimiser", "steps")}
+        return {key: state[key] for key in ("model", "optimisers", "steps")}
     except (OSError, RuntimeError, KeyError, EOFError, TypeError, pickle.UnpicklingError) as error:
         cause = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise BadFile(path, f"no state of a training ({cause}); give another name") from None
