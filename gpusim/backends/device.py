@@ -17,6 +17,8 @@ from numpy.typing import DTypeLike
 from gpusim.domain.errors import BadData, DeviceError
 from gpusim.domain.memory import Pinned, host_memory, to_host
 
+MATRIX_UNITS = 8  # NVIDIA's compute capability from which kernels can use them
+
 
 class Transfer:
     """An array on its way to a device."""
@@ -61,6 +63,7 @@ class Device:
             indexed along their first axis, and `np.asarray` waits and returns their values.
         is_gpu: Whether the device is a GPU.
         has_fp64: Whether kernels may use float64.
+        has_matrix_units: Whether it has NVIDIA's instructions for products of float16 matrices.
         group_limit: Most work-items of a group.
         local_bytes: Local memory of a group that kernels may use [byte].
     """
@@ -72,6 +75,7 @@ class Device:
     array_type: Any = type(None)  # no foreign arrays: everything is NumPy
     is_gpu = False
     has_fp64 = True
+    has_matrix_units = False
     group_limit = 1024
     local_bytes = 48 * 1024  # on every GPU of the last ten years
 

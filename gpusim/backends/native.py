@@ -26,6 +26,7 @@ DIALECT = """
 #define get_local_id(axis) (int)threadIdx.x
 #define get_group_id(axis) (int)blockIdx.x
 #define ushort unsigned short
+#define uint unsigned int
 #define PAIR(a, b) float2{a, b}
 #define QUAD(a, b) quad(a, b)
 #define FLOATS(at) ((float *)(at))

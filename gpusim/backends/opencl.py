@@ -20,6 +20,7 @@ from gpusim.backends.buffers import (
     kinds_of,
 )
 from gpusim.backends.caches import pocl_folder
+from gpusim.backends.device import MATRIX_UNITS
 from gpusim.backends.driver import finish, is_gpu, pyopencl
 from gpusim.backends.launches import BUILD_OPTIONS, program_head, split_grid, stage_source
 from gpusim.backends.pocl import known_processor
@@ -54,6 +55,8 @@ class OpenCLDevice(Taped):
         self.local_bytes = min(self.local_bytes, cl_device.local_mem_size)
         self.is_gpu = is_gpu(cl_device)
         self.has_fp64 = "cl_khr_fp64" in cl_device.extensions
+        if "cl_nv_device_attribute_query" in cl_device.extensions:
+            self.has_matrix_units = cl_device.compute_capability_major_nv >= MATRIX_UNITS
         self.on_host = not self.is_gpu and bool(cl_device.host_unified_memory)
         self.alignment = cl_device.mem_base_addr_align // 8  # [byte] of buffers inside others
         self.processor = known_processor(cl_device)

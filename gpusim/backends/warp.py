@@ -15,6 +15,7 @@ import numpy as np
 
 from gpusim.backends.caches import has_room, keep_sound, lent_folder, note, remove
 from gpusim.backends.cuda_driver import call_driver, cuda_driver, ordinal_of
+from gpusim.backends.device import MATRIX_UNITS
 from gpusim.backends.graphs import gather_kernels
 from gpusim.backends.native import native_kernel
 from gpusim.backends.refusal import of_shape, of_values, refusable
@@ -84,6 +85,7 @@ class WarpDevice(Taped):
         self.name = name
         self.is_gpu = self.wp_device.is_cuda
         self.on_host = not self.is_gpu
+        self.has_matrix_units = self.is_gpu and self.wp_device.arch >= 10 * MATRIX_UNITS
         if self.is_gpu:  # Warp's kernels use 4 bytes a work-item
             self.local_bytes = min(
                 self.local_bytes, self.wp_device.max_shared_memory_per_block - 4 * self.group_limit

@@ -316,6 +316,7 @@ class Developer:
                 "cfa": sensor.cfa,
                 "noise": numbers.noise,
                 "weights": processor.network,
+                "half": True,
                 "places": self._places,
             }
         elif not sensor.bayer_phase:

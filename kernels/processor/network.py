@@ -31,6 +31,9 @@ from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage
 
 RUN = 64  # blocks of a CPU's work-item: rows of planes are whole runs
 TILES = "processor.network_tiles"  # the kernel of GPUs
+HALF = "processor.network_half"  # the kernels of their matrix units
+EDGE, DOWN, ITEMS = 16, 8, 128  # sides of a matrix; rows and work-items of a group there
+FIRST = -(-INPUTS // EDGE) * EDGE  # channels of the first layer there
 ALONG = 32  # columns of a work-group of GPUs
 MOST_INPUTS = 16  # in its local memory at a time
 GUARD = 8  # columns of blocks before a row; one would do, but vectors should begin at multiples
@@ -48,6 +51,7 @@ def network(
     noise: tuple[float, float] = (0.0, 0.0),
     balance: tuple[float, float] = (1.0, 1.0),
     weights: Network | None = None,
+    half: bool = False,
 ) -> Array:
     """Demosaick and denoise by layers of 3 x 3 convolutions on blocks of 2 x 2 pixels.
 
@@ -69,6 +73,8 @@ def network(
         balance: Factors of (red, blue) with which white is as strong in them as in green [1]. The
             result is divided by them.
         weights: The network; None for the built-in one.
+        half: Whether devices with matrix units may multiply in float16, with sums in float32, if
+            the channels between the layers are a multiple of 16. Other devices multiply in float32.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -100,7 +106,9 @@ def network(
     balance = check_balance(balance)
     gain = root_gain(gain, read)
     offset = 0.375 * gain + (read**2 / gain if gain else 0.0)
-    prepared = _prepared(device, built_in_network() if weights is None else weights)
+    trained = built_in_network() if weights is None else weights
+    half = half and device.has_matrix_units and len(trained.biases[0]) % EDGE == 0
+    prepared = _prepared(device, trained, half)
     colors = _color_table(device, tuple(cfa))
     rows, cols = raw.shape
     margin = 2 * prepared.layers
@@ -108,41 +116,71 @@ def network(
     height, width = 2 * high + 2 * REACH, 2 * wide + 2 * REACH  # [pixel]
     factors = tuple(map(float, np.sqrt((balance[0], 1.0, balance[1]))))
     is_root = int(domain == "root")
-    launch = functools.partial(device.launch, "processor.network")
-    samples = device.empty((7, height, width))  # codes, masks, noise
-    launch(
-        "encode",
-        (height, width),
-        *(device.array(raw, np.uint16), colors, samples),
-        *(float(black_level), float(scale), float(offset), float(gain) ** 0.5 / 2, *factors),
-        *(is_root, margin + REACH, *colors.shape, rows, cols, height, width),
-    )
+    sigma = is_root * float(gain) ** 0.5 / 2
+    whole, sizes = (height, width), (high, wide, stride)
+    taken = (*colors.shape, rows, cols, *whole)
+    raw = device.array(raw, np.uint16)
+    levels = float(black_level), float(scale), float(offset)
     guess = device.empty((3, 2 * high, 2 * wide))
-    launch(
-        "guess",
-        (2 * high, 2 * wide),
-        *(samples, prepared.taps, guess, height, width),
-    )
+    out = device.empty((3, rows, cols))
+    decoding = (float(offset), *factors, is_root, margin, *sizes, rows, cols)
+    if half:
+        codes, hues = device.empty(whole), device.empty(whole, np.uint16)
+        parameters = (*levels, *factors, is_root, margin + REACH, *taken)
+        _launch_half(device, "encode_half", height * width, (raw, colors, codes, hues, *parameters))
+        blocks = device.empty((high + 2, stride, FIRST), np.uint16)
+        noises = tuple(sigma * factor for factor in factors)
+        arrays = (codes, hues, prepared.taps, guess, blocks)
+        _launch_half(device, "guess_half", high * wide, (*arrays, *noises, *sizes), out=FIRST)
+        blocks = _convolve_half(device, prepared, blocks, sizes)
+        _launch_half(device, "decode_half", rows * cols, (guess, blocks, out, *decoding))
+        return out
+    launch = functools.partial(device.launch, "processor.network")
+    samples = device.empty((7, *whole))  # codes, masks, noise
+    parameters = (*levels, sigma, *factors, is_root, margin + REACH, *taken)
+    launch("encode", whole, *(raw, colors, samples), *parameters)
+    launch("guess", (2 * high, 2 * wide), *(samples, prepared.taps, guess, *whole))
     most = max(INPUTS, *prepared.outputs)
     blocks, other = (device.empty((most, high + 2, stride)) for _ in range(2))
-    launch("pack", (high, wide), *(samples, guess, blocks, high, wide, stride))
+    launch("pack", (high, wide), *(samples, guess, blocks, *sizes))
     for number in range(prepared.layers):
-        _convolve(device, prepared, number, (blocks, other), (high, wide, stride))
+        _convolve(device, prepared, number, (blocks, other), sizes)
         blocks, other = other, blocks
-    out = device.empty((3, rows, cols))
-    launch(
-        "decode",
-        (rows, cols),
-        *(guess, blocks, out),
-        *(float(offset), *factors, is_root, margin, high, wide, stride, rows, cols),
-    )
+    launch("decode", (rows, cols), *(guess, blocks, out), *decoding)
     return out
+
+
+def _convolve_half(device, prepared, blocks, sizes):
+    """Start all layers with products of float16; return the last one's blocks (high + 2, stride, EDGE)."""
+    high, wide, stride = sizes
+    across = -(-wide // ALONG)
+    for number in range(prepared.layers):
+        into, of = blocks.shape[2], _pad_to_edge(prepared.outputs[number])
+        other = device.empty((high + 2, stride, of), np.uint16)
+        arrays = (blocks, prepared.weights[number], prepared.biases[number], other)
+        numbers = (prepared.choose_kind(number), *sizes, across)
+        items = -(-high // DOWN) * across * ITEMS
+        _launch_half(device, "convolve_half", items, (*arrays, *numbers), into, of)
+        blocks = other
+    return blocks
+
+
+def _launch_half(device, kernel, items, args, into=EDGE, out=EDGE):
+    """Start a kernel of HALF in whole groups; into, out: channels of its blocks."""
+    items = -(-items // ITEMS) * ITEMS
+    defines = {"WIDTH": into, "OUT": out}
+    device.launch(HALF, kernel, (items,), *args, defines=defines, group=(ITEMS,))
+
+
+def _pad_to_edge(outputs):
+    """Return the next multiple of EDGE."""
+    return -(-outputs // EDGE) * EDGE
 
 
 def _convolve(device, prepared, number, planes, sizes):
     """Start one layer. planes: of its inputs, and for its outputs; there may be more planes than it uses."""
     high, wide, stride = sizes
-    kind = 2 if number == prepared.layers - 1 else int(number > 0)
+    kind = prepared.choose_kind(number)
     launch = functools.partial(device.launch, "processor.network", "convolve")
     arrays = (planes[0], prepared.weights[number], prepared.biases[number], planes[1])
     inputs = prepared.outputs[number - 1] if number else INPUTS
@@ -198,20 +236,43 @@ class _Prepared:
     """A network on a device.
 
     weights: of each layer, outputs in groups, (groups, inputs, 9, MADE); of GPUs all of an input
-    together, (inputs, 9, outputs / MADE, MADE).
+    together, (inputs, 9, outputs / MADE, MADE). With `half` as float16, see `_arranged`.
     """
 
-    def __init__(self, device: Device, trained: Network):
+    def __init__(self, device: Device, trained: Network, half: bool):
         self.layers = len(trained.weights)
         self.outputs = [len(bias) for bias in trained.biases]
         made = 6 if is_opencl_cpu(device) else GROUP
         self.taps = device.array(spread(np.arange(-REACH, REACH + 1)))
         self.weights, self.biases = [], []
         for weight, bias in zip(trained.weights, trained.biases, strict=True):
+            if half:
+                more = _pad_to_edge(len(bias)) - len(bias)
+                self.weights.append(device.array(_arranged(weight).view(np.uint16), np.uint16))
+                self.biases.append(device.array(np.pad(bias, (0, more))))
+                continue
             grouped = weight.reshape(-1, made, weight.shape[1], 9)
             grouped = grouped.transpose((2, 3, 0, 1) if device.is_gpu else (0, 2, 3, 1))
             self.weights.append(device.array(np.ascontiguousarray(grouped)))
             self.biases.append(device.array(bias))
+
+    def choose_kind(self, number: int) -> int:
+        """Return what a layer does with its sums, see network.cl."""
+        return 2 if number == self.layers - 1 else int(number > 0)
+
+
+def _arranged(weight):
+    """Return weights as network_half.cl reads them, float16, (9, inputs / 16, outputs / 8, 128).
+
+    In step s, the work-item 4 g + t holds inputs t inputs / 4 + 4 s .. + 3, and column g of tile n,
+    which is output (g // 2) outputs / 4 + 2 n + g % 2.
+    """
+    outputs, inputs = weight.shape[:2]
+    padded = np.zeros((_pad_to_edge(outputs), _pad_to_edge(inputs), 9), np.float16)
+    padded[:outputs, :inputs] = weight.reshape(outputs, inputs, 9)
+    tiles, steps = len(padded) // 8, padded.shape[1] // EDGE
+    parts = padded.reshape(4, tiles, 2, 4, steps, 4, 9)  # g // 2, n, g % 2, t, s, input of four, k
+    return np.ascontiguousarray(parts.transpose(6, 4, 1, 0, 2, 3, 5)).reshape(9, steps, tiles, 128)
 
 
 _prepared = functools.lru_cache(maxsize=16)(_Prepared)
@@ -227,7 +288,7 @@ def cases():
     """Yield cases.
 
     The built-in network and a small random one, several mosaics and phases, both domains, noise,
-    balance, odd and degenerate sizes, black and saturation.
+    balance, odd and degenerate sizes, black and saturation; products of float16.
     """
     random = np.random.default_rng(40)
     noise, balance = (0.5, 3.0), (1.7, 2.4)
@@ -244,17 +305,23 @@ def cases():
         raw = random.integers(300, 2000, (rows, cols)).astype(np.uint16)
         raw.flat[0], raw.flat[-1] = 0, 65535
         yield _case(name, raw, cfa, small, **knowledge)
-    raw = random.integers(300, 2000, (20, 70)).astype(np.uint16)
+    y, x = np.ogrid[:20, :70]
+    smooth = 1000 + 400 * np.sin(x / 5 + y / 7) + 300 * (x > 40)
+    raw = np.rint(random.normal(smooth, 15)).astype(np.uint16)
     yield _case("built in", raw, ("RG", "GB"), None, noise=noise)
     yield _case("built in, X-Trans", raw, X_TRANS, None)
+    yield _case("half", raw, ("RG", "GB"), None, noise=noise, half=True)
+    raw = random.integers(300, 2000, (37, 41)).astype(np.uint16)
+    wide = _random_network(random, 48)
+    yield _case("half, random", raw, X_TRANS, wide, balance=balance, half=True)
 
 
 X_TRANS = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
 
 
-def _random_network(random):
+def _random_network(random, width=12):
     """Return a network of three layers whose sums neither grow nor vanish."""
-    sizes = (INPUTS, 12, 12, 3 * BLOCK)
+    sizes = (INPUTS, width, width, 3 * BLOCK)
     shapes = [(into, of, 3, 3) for of, into in itertools.pairwise(sizes)]
     weights = [random.normal(0, (9 * shape[1]) ** -0.5, shape) for shape in shapes]
     biases = [random.normal(0, 0.1, shape[0]) for shape in shapes]
@@ -279,14 +346,31 @@ def _case(name, raw, cfa, weights, **knowledge):
         ]
         found = reference(**inputs | {"weights": Network(tuple(changed), trained.biases)})
         worst = max(worst, np.abs(found - exact).max())
-    terms = max(one[0].size for one in trained.weights) + 60
+    if inputs.get("half"):
+        rounding, why = (
+            2.0**-11,
+            (
+                "float16 rounds by at most 2^-11, and by 2^-11 / sqrt(3) in the root mean square: weights; the values "
+                "that they multiply, which is as if the weights changed; and the values that layers add to, which "
+                "matter as much as their sums: sqrt(3) times the effect of one"
+            ),
+        )
+    else:
+        terms = max(one[0].size for one in trained.weights) + 60
+        rounding, why = (
+            2.0**-24 * terms**0.5,
+            (
+                "a sum of n terms in float32 is the exact sum with weights changed by sqrt(n) 2^-24 (Higham and Mary "
+                "2019, SIAM J. Sci. Comput. 41, A2815); 60 terms more for the codes, the guess and decoding"
+            ),
+        )
+    effect = rounding * worst / step / np.abs(exact).max()
     return Case(
         name,
         inputs,
-        2 * 2.0**-24 * max(terms * worst / step / np.abs(exact).max(), 40),
-        "a sum of n terms in float32 is the exact sum with weights changed by n 2^-24 (Higham 2002, 3.1), so "
-        "the result is that of changed weights, whose effect the reference shows; 60 terms more for the codes, the "
-        "guess and decoding, at least 40 roundings; 2 because three random changes need not hit the worst one",
+        2 * max(effect, 20 * 2.0**-24),
+        f"{why}; the result is that of changed weights, whose effect the reference shows; 2 because three random "
+        "changes need not hit the worst one; at least 20 roundings",
     )
 
 
