@@ -12,6 +12,7 @@ from gpusim.domain.short_repr import short_repr
 from gpusim.domain.tone import NO_TONE, TONES
 
 DEFECTS = ("none", "known", "detect")
+DENOISERS = ("multiscale", "mosaic")
 DEMOSAICS = ("auto", "bilinear", "malvar", "adaptive", "best", "learned", "network")
 WHITE_BALANCES = (
     "illuminant",
@@ -55,6 +56,7 @@ LOOKS = {
 }
 METHODS = {
     "defects": DEFECTS,
+    "denoise_by": DENOISERS,
     "demosaic": DEMOSAICS,
     "white_balance": WHITE_BALANCES,
     "color": COLORS,
@@ -113,8 +115,10 @@ class Processor:
         defects: Replacement of dead and hot pixels: "known" (the list of this chip, as from a
             factory), "detect" (pixels that differ from their neighbours) or "none".
         shading: Divide out the fall-off of lens and pixels towards the corners.
-        denoise: Strength of denoising before demosaicking: 1 follows the noise model, 0 is off; None:
-            the look's, 0 with demosaic "network".
+        denoise: Strength of denoising: 1 follows the noise model, 0 is off; None: the look's, 0 with
+            demosaic "network".
+        denoise_by: "multiscale" (after demosaicking, luminance and chroma apart, at several scales) or
+            "mosaic" (before demosaicking, by means of similar pixels).
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
             blur), "learned" (local linear filters from a table), "network" (a small network that also
@@ -158,6 +162,7 @@ class Processor:
     defects: str = "none"
     shading: bool = False
     denoise: float | None = None
+    denoise_by: str = "multiscale"
     demosaic: str = "auto"
     table: FilterTable | None = None
     white_balance: str = "illuminant"

@@ -33,16 +33,19 @@ from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
 from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.processor.malvar import malvar
+from gpusim.kernels.processor.multiscale import multiscale, multiscale_memory, opponent_axes
 from gpusim.kernels.processor.network import network, network_memory
 from gpusim.kernels.processor.quantise import quantise
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.sharpen import detail_gain, sharpen
 from gpusim.kernels.processor.thumbnail import thumbnail
 from gpusim.pipeline.cache import Cache
+from gpusim.pipeline.demosaicked_noise import LEVELS, measure_noise, white_noise
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
 SHARPENED = 3.0  # [sigma] of noise at which half of a detail's sharpening is left
+BEST_NOISE = 0.4  # share of the noise that `best` is told before denoising, which keeps more detail
 CLIPPED = 0.95  # share of saturation: values interpolated next to a clipped pixel lie just below it
 
 
@@ -237,7 +240,7 @@ class Developer:
                     "detect": f"pixels {STANDS_OUT:g} sigma beyond their neighbours replaced",
                 }[processor.defects],
             )
-        if processor.denoising:
+        if processor.denoising and processor.denoise_by == "mosaic":
             add(
                 "processor.denoise",
                 denoise,
@@ -248,7 +251,7 @@ class Developer:
                     "noise": numbers.noise,
                     "strength": processor.denoising,
                 },
-                words=f"denoised, strength {processor.denoising:g}",
+                words=f"mosaic denoised, strength {processor.denoising:g}",
                 nbytes=6 * pixels,
             )
             numbers = replace(numbers.on_corrected_scale(), noise=(0.0, 0.0))
@@ -335,7 +338,8 @@ class Developer:
                 }
             if method == "best":
                 others.append("blur")
-                constants |= {"noise": numbers.noise}
+                share = BEST_NOISE if self._is_denoised_after else 1.0
+                constants |= {"noise": (share * numbers.noise[0], share * numbers.noise[1])}
         channels, pixels = 3 if processor.table is not None else len(sensor.channels), prod(shape)
         area = pixels // (len(sensor.channels) if sensor.stacked else 1)
         chain.add(
@@ -346,6 +350,47 @@ class Developer:
             words=words,
             nbytes=(SCRATCH.get(name, 0) + 4 * channels) * area + more_bytes,
             work=float(pixels),
+        )
+        if self._is_denoised_after:
+            self._denoise_planes(chain, numbers, run, constants, (channels, *shape))
+
+    @property
+    def _is_denoised_after(self) -> bool:
+        """True if denoising follows demosaicking."""
+        processor = self.camera.processor
+        return processor.denoising > 0 and processor.denoise_by == "multiscale"
+
+    def _denoise_planes(
+        self, chain: Chain, numbers: "_Numbers", demosaic, constants, shape
+    ) -> None:
+        """Add denoising of camera values, whose noise after demosaicking is measured once.
+
+        demosaic, constants: the demosaicker's function and constants. shape: of channels and raw values.
+        """
+        sensor, processor = self.camera.sensor, self.camera.processor
+        channels, rows, cols = shape
+        if sensor.stacked or sensor.is_monochrome:
+            rows, measured = rows // channels, white_noise(channels)
+        else:
+            others = {"demosaic", "places", "noise", "black_level", "scale"}
+            arguments = {key: value for key, value in constants.items() if key not in others}
+            told, gain = constants.get("noise", (0.0, 0.0)), max(numbers.noise)
+            assumed = max(told) / gain if gain else 0.0
+            measured = measure_noise(constants.get("demosaic", demosaic), arguments, assumed)
+        gain, dark = numbers.noise
+        chain.add(
+            "processor.multiscale",
+            {
+                "measured": measured,
+                "noise": (gain * numbers.scale, dark * numbers.scale),
+                "strength": processor.denoising,
+            },
+            *(() if processor.table else ("neutral",)),
+            run=denoise_planes,
+            words=f"denoised at {LEVELS} scales, strength {processor.denoising:g}",
+            nbytes=4 * channels * rows * cols
+            + multiscale_memory(self.device, channels, rows, cols, LEVELS),
+            work=float(rows * cols),
         )
 
     @property
@@ -482,6 +527,25 @@ def demosaic_balanced(raw, white, blur=None, *, demosaic, places, device, **cons
     if blur is not None:
         constants = constants | {"blur": blur}
     return demosaic(raw, balance=balance_of(white, places), **constants, device=device)
+
+
+def denoise_planes(planes, neutral=None, *, measured, noise, strength, device) -> Any:
+    """Return camera values denoised in a luminance and chromas that grey does not have.
+
+    neutral: camera values of white, shape (C,); None: equal. measured: a `DemosaickedNoise`.
+    """
+    white = np.ones(planes.shape[0]) if neutral is None else np.asarray(neutral, np.float64)
+    balance = white.max() / np.maximum(white, white.max() / MOST_BALANCE)
+    axes = opponent_axes(measured.large_scale, balance)
+    return multiscale(
+        planes,
+        noise=noise,
+        axes=axes,
+        spread=measured.spread(axes),
+        share=measured.share,
+        strength=strength,
+        device=device,
+    )
 
 
 def balance_of(white, places) -> tuple[float, float]:

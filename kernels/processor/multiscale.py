@@ -194,41 +194,45 @@ def _find_noise(device, launch, values, scales, size):
     return noise
 
 
-def multiscale_memory(channels: int, rows: int, cols: int) -> int:
-    """Return the most memory that `multiscale` uses beside its result [byte].
+def multiscale_memory(device: Device, channels: int, rows: int, cols: int, levels: int) -> int:
+    """Return the memory that `multiscale` uses beside its result [byte].
 
     Args:
+        device: The device.
         channels: Number of channels.
         rows: Rows of the picture.
         cols: Columns of the picture.
+        levels: Levels of the pyramid.
     """
-    total = 0
-    for high, across, stride in _level_sizes(rows, cols, LEVELS[1], True):
-        total += (high + 2 * TOP) * stride + high * stride + 5 * high * (across // 2 + 3)
-    return 4 * channels * total
+    lines, floats = is_opencl_cpu(device), 0
+    for high, across, stride in _level_sizes(rows, cols, levels, lines):
+        floats += (high + 2 * TOP) * stride
+        floats += high * (stride - RIGHT if lines else across + 5 * (across // 2 + 3))
+    return 4 * channels * floats
 
 
-def opponent_axes(density: np.ndarray, balance: np.ndarray) -> np.ndarray:
+def opponent_axes(covariance: np.ndarray, balance: np.ndarray) -> np.ndarray:
     """Return axes of roots in which the noise of large areas is not correlated, and 1 per pixel.
 
-    The noise of a mean over many pixels has the variance 1 / density per pixel in the root of a
-    channel. The luminance is the sum of the channels with the least noise among those to which grey
-    is 1 in all balanced roots. Grey has no chroma.
+    The luminance is the sum of the channels with the least noise among those to which grey is 1 in
+    all balanced roots. Grey has no chroma.
 
     Args:
-        density: Share of the mosaic's pixels that each channel has [1], shape (C,).
+        covariance: Of the noise of roots per pixel, in means over large areas, shape (C, C).
         balance: Factors of the channels that make grey equal in them [1], shape (C,).
 
     Returns:
         The axes, luminance first, shape (C, C), float64.
     """
-    deviation = np.sqrt(np.asarray(balance, np.float64) / density)  # of balanced roots
-    count = len(deviation)
-    # in units of each channel's noise: grey, then differences of neighbouring channels
-    differences = np.diff(np.eye(count), axis=0).T * deviation[:, None]
-    basis = np.linalg.qr(np.column_stack([1 / deviation, differences]))[0]
-    basis[:, 0] = np.abs(basis[:, 0])
-    return basis.T * np.sqrt(density)
+    factors = np.sqrt(np.asarray(balance, np.float64))
+    count = len(factors)
+    whole = np.linalg.cholesky(factors[:, None] * covariance * factors)
+    inverse = np.linalg.inv(whole)
+    # in units of the noise: grey, then differences of neighbouring channels
+    differences = (np.diff(np.eye(count), axis=0) @ whole).T
+    basis = np.linalg.qr(np.column_stack([inverse @ np.ones(count), differences]))[0]
+    axes = basis.T @ inverse * factors
+    return axes * np.where(axes.sum(1, keepdims=True) < 0, -1, 1)
 
 
 def _inputs(random, channels, rows, cols, levels, noise=(0.01, 0.02), strength=1.0):
@@ -238,7 +242,7 @@ def _inputs(random, channels, rows, cols, levels, noise=(0.01, 0.02), strength=1
     light = np.stack([base * (1 + c) / channels for c in range(channels)])
     gain, read = noise
     planes = light + np.sqrt(gain * light + read**2) * random.standard_normal(light.shape)
-    axes = opponent_axes(np.full(channels, 1 / channels), np.linspace(1, 2, channels))
+    axes = opponent_axes(channels * np.eye(channels), np.linspace(1, 2, channels))
     half = 0.5 ** np.arange(levels)
     spread = random.uniform(0.5, 1.0, (levels, channels, 4, 4)) * half[:, None, None, None]
     return {

@@ -1,6 +1,6 @@
 """x = m |m| - offset + share lost(m), m = inverse (p - R_0), p = axes root(x + offset), float64.
 
-R_l = D_l + up(R_{l+1} - down(D_l)), D_l the mean of what 4 x 4 blocks take from down^l(p) for noise, all but their mean.
+R_l = D_l + up(R_{l+1} - down(D_l)), D_l the mean of what 4 x 4 blocks of down^l(p) lose for noise, all but their mean.
 """
 
 import numpy as np

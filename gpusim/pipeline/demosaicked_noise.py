@@ -1,0 +1,115 @@
+"""The noise of a mosaic after demosaicking: how strong it is at each scale, and how channels share it."""
+
+import functools
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+SIZE = 192  # rows and columns of the field that is measured
+ELECTRONS = 100.0  # mean of its samples
+BLACK, STEP = 500, 16  # its digital numbers: black level, and gain [DN/e-]
+MEASURED = 3  # levels; in coarser ones the noise is white, and halves from level to level
+LEVELS = 5  # of the pyramid
+# rows: Walsh's functions of four pixels, by their changes of sign
+WALSH = np.array([[1, 1, 1, 1], [1, 1, -1, -1], [1, -1, -1, 1], [1, -1, 1, -1]]) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class DemosaickedNoise:
+    """Noise of roots of channels, for samples whose roots have the variance 1.
+
+    Attributes:
+        covariance: Of the channels in each Walsh coefficient of blocks of 4 x 4 pixels, in each level of a
+            pyramid of means of 2 x 2, (LEVELS, 4, 4, C, C).
+        share: Variance of a pixel, (C,).
+    """
+
+    covariance: np.ndarray
+    share: np.ndarray
+
+    @property
+    def large_scale(self) -> np.ndarray:
+        """Covariance per pixel of means over large areas, (C, C)."""
+        return 4.0 ** (LEVELS - 1) * self.covariance[-1, -1, -1]
+
+    def spread(self, axes: np.ndarray) -> np.ndarray:
+        """Return the standard deviation in each coefficient along axes (C, C), (LEVELS, C, 4, 4)."""
+        variance = np.einsum("ac,lvucd,ad->lavu", axes, self.covariance, axes)
+        return np.sqrt(np.maximum(variance, 0))
+
+
+def white_noise(channels: int) -> DemosaickedNoise:
+    """Return the noise of pixels that have all channels: as sampled.
+
+    Args:
+        channels: Number of channels.
+    """
+    one = np.eye(channels) * np.ones((4, 4, 1, 1))
+    return DemosaickedNoise(
+        np.stack([one / 4.0**level for level in range(LEVELS)]), np.ones(channels)
+    )
+
+
+def measure_noise(
+    demosaic: Callable, constants: Mapping[str, Any], assumed: float = 0.0
+) -> DemosaickedNoise:
+    """Return the noise after demosaicking, measured on a grey field with the noise of its light.
+
+    Args:
+        demosaic: Function from digital numbers to planes (C, rows, cols), such as a stage.
+        constants: Its arguments beside the noise and the scale of the digital numbers.
+        assumed: Noise that it is told over that of the field [1]; 0: it is not told.
+
+    Returns:
+        The noise; cached for equal arguments.
+    """
+    return _measure(demosaic, _Arguments(dict(constants)), assumed)
+
+
+class _Arguments:
+    """Arguments as a key of a cache: arrays by their values, other objects without a hash by identity."""
+
+    def __init__(self, values: dict):
+        self.values = values
+        self._key = tuple((name, _key_of(value)) for name, value in sorted(values.items()))
+
+    def __hash__(self):
+        return hash(self._key)
+
+    def __eq__(self, other):
+        return isinstance(other, _Arguments) and self._key == other._key
+
+
+def _key_of(value):
+    if isinstance(value, np.ndarray):
+        return value.shape, value.tobytes()
+    try:
+        hash(value)
+    except TypeError:
+        return id(value)  # `_Arguments.values` keeps it
+    return value
+
+
+@functools.lru_cache(maxsize=16)
+def _measure(demosaic, arguments, assumed):
+    random, scale = np.random.default_rng(40), 1 / (4 * STEP * ELECTRONS)
+    raw = (BLACK + STEP * random.poisson(ELECTRONS, (SIZE, SIZE))).astype(np.uint16)
+    told = {"noise": (assumed * STEP, 0.0)} if assumed else {}
+    numbers = {"black_level": float(BLACK), "scale": scale, "device": "numpy"}
+    planes = np.asarray(demosaic(raw, **arguments.values, **told, **numbers), np.float64)
+    half = 2 * np.sqrt(np.maximum(planes / (STEP * scale) + 0.375, 0))  # roots of variance 1
+    share, levels = half.var((1, 2)), []
+    for _ in range(MEASURED):
+        blocks = np.lib.stride_tricks.sliding_window_view(half, (4, 4), axis=(1, 2))
+        blocks = np.einsum("vy,cijyx,ux->vucij", WALSH, blocks, WALSH, optimize=True)
+        blocks = blocks.reshape(*blocks.shape[:3], -1)
+        levels.append(np.einsum("vucb,vudb->vucd", blocks, blocks) / blocks.shape[3])
+        half = (half[:, ::2] + half[:, 1::2]) / 2
+        half = (half[:, :, ::2] + half[:, :, 1::2]) / 2
+    rest = levels[-1].reshape(16, *levels[-1].shape[2:])[1:].mean(0)  # all but the mean
+    while len(levels) < LEVELS:
+        rest = rest / 4
+        levels.append(np.broadcast_to(rest, levels[0].shape))
+    return DemosaickedNoise(np.stack(levels), share)
