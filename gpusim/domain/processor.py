@@ -115,8 +115,8 @@ class Processor:
         defects: Replacement of dead and hot pixels: "known" (the list of this chip, as from a
             factory), "detect" (pixels that differ from their neighbours) or "none".
         shading: Divide out the fall-off of lens and pixels towards the corners.
-        denoise: Strength of denoising: 1 follows the noise model, 0 is off; None: the look's, 0 with
-            demosaic "network".
+        denoise: Strength of denoising: 1 follows the noise model, 0 is off; None: the look's, but 0
+            before demosaic "network".
         denoise_by: "multiscale" (after demosaicking, luminance and chroma apart, at several scales) or
             "mosaic" (before demosaicking, by means of similar pixels).
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
@@ -245,10 +245,11 @@ class Processor:
 
     @property
     def denoising(self) -> float:
-        """Strength of denoising, set or by the look; the network removes noise itself."""
+        """Strength of denoising, set or by the look. The network needs a mosaic with all its noise."""
         if self.denoise is not None:
             return self.denoise
-        return 0.0 if self.demosaic == "network" else LOOKS[self.look].denoise
+        is_spoilt = self.demosaic == "network" and self.denoise_by == "mosaic"
+        return 0.0 if is_spoilt else LOOKS[self.look].denoise
 
     @property
     def tone_curve(self) -> tuple | str:

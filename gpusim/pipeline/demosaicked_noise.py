@@ -10,7 +10,9 @@ import numpy as np
 SIZE = 192  # rows and columns of the field that is measured
 ELECTRONS = 100.0  # mean of its samples
 BLACK, STEP = 500, 16  # its digital numbers: black level, and gain [DN/e-]
-MEASURED = 3  # levels; in coarser ones the noise is white, and halves from level to level
+MEASURED = (
+    3  # levels; in coarser ones the noise is white, and its deviation halves from level to level
+)
 LEVELS = 5  # of the pyramid
 # rows: Walsh's functions of four pixels, by their changes of sign
 WALSH = np.array([[1, 1, 1, 1], [1, 1, -1, -1], [1, -1, -1, 1], [1, -1, 1, -1]]) / 2
@@ -108,7 +110,7 @@ def _measure(demosaic, arguments, assumed):
         levels.append(np.einsum("vucb,vudb->vucd", blocks, blocks) / blocks.shape[3])
         half = (half[:, ::2] + half[:, 1::2]) / 2
         half = (half[:, :, ::2] + half[:, :, 1::2]) / 2
-    rest = levels[-1].reshape(16, *levels[-1].shape[2:])[1:].mean(0)  # all but the mean
+    rest = (levels[-1][0, 1] + levels[-1][1, 0] + levels[-1][1, 1]) / 3  # the longest waves
     while len(levels) < LEVELS:
         rest = rest / 4
         levels.append(np.broadcast_to(rest, levels[0].shape))

@@ -382,10 +382,11 @@ class Developer:
             "processor.multiscale",
             {
                 "measured": measured,
+                "is_balanced": processor.table is not None,
                 "noise": (gain * numbers.scale, dark * numbers.scale),
                 "strength": processor.denoising,
             },
-            *(() if processor.table else ("neutral",)),
+            *(("neutral", "shading") if processor.shading else ("neutral",)),
             run=denoise_planes,
             words=f"denoised at {LEVELS} scales, strength {processor.denoising:g}",
             nbytes=4 * channels * rows * cols
@@ -529,12 +530,17 @@ def demosaic_balanced(raw, white, blur=None, *, demosaic, places, device, **cons
     return demosaic(raw, balance=balance_of(white, places), **constants, device=device)
 
 
-def denoise_planes(planes, neutral=None, *, measured, noise, strength, device) -> Any:
+def denoise_planes(
+    planes, white, shading=None, *, measured, noise, strength, is_balanced=False, device
+) -> Any:
     """Return camera values denoised in a luminance and chromas that grey does not have.
 
-    neutral: camera values of white, shape (C,); None: equal. measured: a `DemosaickedNoise`.
+    white: camera values of white, shape (C,), or None. shading: gains that were applied, as for `Developer.demosaic`.
+    measured: a `DemosaickedNoise`. is_balanced: whether white is equal in all planes.
     """
-    white = np.ones(planes.shape[0]) if neutral is None else np.asarray(neutral, np.float64)
+    if white is None or is_balanced:
+        white = np.ones(planes.shape[0])
+    white = np.maximum(np.asarray(white, np.float64), 0)
     balance = white.max() / np.maximum(white, white.max() / MOST_BALANCE)
     axes = opponent_axes(measured.large_scale, balance)
     return multiscale(
@@ -543,6 +549,7 @@ def denoise_planes(planes, neutral=None, *, measured, noise, strength, device) -
         axes=axes,
         spread=measured.spread(axes),
         share=measured.share,
+        gains=None if shading is None else np.asarray(shading).mean(0),
         strength=strength,
         device=device,
     )

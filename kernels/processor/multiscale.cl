@@ -12,25 +12,49 @@ inline int mirrored(const int i, const int size)
     return clamp(i < 0 ? -1 - i : i >= size ? 2 * size - 1 - i : i, 0, size - 1);
 }
 
+// Place of pixel i among nodes that are even from edge to edge, as in shade.cl: the node before it, and the fraction.
+inline int node_before(const int i, const int nodes, const int size, float *fraction)
+{
+    const int place = (2 * i + 1) * (nodes - 1), before = place / (2 * size);
+    *fraction = (float)(place - before * 2 * size) / (float)(2 * size);
+    return before;
+}
+
+// Gain of the shading correction that was applied to a pixel.
+inline float gain_at(__global const float *restrict gains, const int y, const int x, const int rows, const int cols,
+                     const int ny, const int nx)
+{
+#if SHADED
+    float v, u;
+    __global const float *near = gains + node_before(y, ny, rows, &v) * nx + node_before(x, nx, cols, &u);
+    return (1.0f - v) * ((1.0f - u) * near[0] + u * near[1]) + v * ((1.0f - u) * near[nx] + u * near[nx + 1]);
+#else
+    return 1.0f;
+#endif
+}
+
 __kernel void split(
     // in:
     __global const float *restrict planes,  // [CHANNELS][rows][cols]
+    __global const float *restrict gains,   // [ny][nx]
     __global const float *restrict axes,    // [CHANNELS][CHANNELS]
     // out:
     __global float *restrict values,        // [CHANNELS][rows + 2 TOP][stride]
     // params:
     const float offset,
     // sizes:
-    const int rows, const int cols, const int stride)
+    const int rows, const int cols, const int stride, const int ny, const int nx)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= stride || y >= rows + 2 * TOP)
     const long pixels = (long)rows * cols, level = (long)(rows + 2 * TOP) * stride;
-    const long from = (long)mirrored(y - TOP, rows) * cols + mirrored(x - LEFT, cols), to = (long)y * stride + x;
+    const int v = mirrored(y - TOP, rows), u = mirrored(x - LEFT, cols);
+    const long from = (long)v * cols + u, to = (long)y * stride + x;
+    const float gain = gain_at(gains, v, u, rows, cols, ny, nx);
     float root[CHANNELS];
 #pragma unroll
     for (int c = 0; c < CHANNELS; ++c) {
-        const float value = planes[c * pixels + from] + offset;
+        const float value = planes[c * pixels + from] / gain + offset;
         root[c] = copysign(sqrt(fabs(value)), value);
     }
 #pragma unroll
@@ -276,6 +300,7 @@ __kernel void join(
     __global const float *restrict values,  // [CHANNELS][rows + 2 TOP][stride]
     __global const float *restrict noise,   // [CHANNELS][rows][pitch]
     __global const float *restrict coarse,  // [CHANNELS][high][wide]
+    __global const float *restrict gains,   // [ny][nx]
     __global const float *restrict inverse, // [CHANNELS][CHANNELS], of the axes
     __global const float *restrict share,   // [CHANNELS]
     __global const float *restrict loss,    // of roots, see levels.py
@@ -284,11 +309,13 @@ __kernel void join(
     // params:
     const float offset,
     // sizes:
-    const int rows, const int cols, const int stride, const int pitch, const int high, const int across, const int wide)
+    const int rows, const int cols, const int stride, const int pitch, const int high, const int across, const int wide,
+    const int ny, const int nx)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= cols || y >= rows)
     const long level = (long)(rows + 2 * TOP) * stride, from = (long)(y + TOP) * stride + x + LEFT;
+    const float gain = gain_at(gains, y, x, rows, cols, ny, nx);
     float clean[CHANNELS];
 #pragma unroll
     for (int a = 0; a < CHANNELS; ++a)
@@ -301,6 +328,6 @@ __kernel void join(
         for (int a = 0; a < CHANNELS; ++a) root += inverse[c * CHANNELS + a] * clean[a];
         const float near = fmin(loss[1] / (loss[0] + root * root), 1.0f);
         const float lost = (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6];
-        planes[((long)c * rows + y) * cols + x] = root * fabs(root) - offset + share[c] * lost;
+        planes[((long)c * rows + y) * cols + x] = gain * (root * fabs(root) - offset + share[c] * lost);
     }
 }

@@ -17,7 +17,8 @@ finer ones found at their resolution:
     R_l = D_l + up(R_{l+1} - down(D_l)),
 
 with `up` the bilinear interpolation. p_0 - R_0 is turned back to linear light. As the mean of roots
-is less than the root of the mean, `root_loss` is added for the noise that is gone.
+is less than the root of the mean, `root_loss` is added for the noise that is gone. A correction of
+shading, x = G x', has raised the noise as well: all this is done with x / G.
 """
 
 import functools
@@ -33,6 +34,7 @@ from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, 
 LIMITS = 2.2, 2.6  # of luminance and of chroma [s_k]
 LEVELS = 2, 8  # least and most
 MOST_CHANNELS = 8
+MOST_NODES = 1024  # of gains each way: places between them are counted in 32-bit integers
 TOP, LEFT = 3, 8  # margin of a level; after the picture it has room for vectors
 CHUNK, RIGHT = 128, 16  # columns of a CPU's work-item, and further columns that it reads
 BAND = 64, 32  # rows of a work-item, on CPUs and on GPUs
@@ -47,6 +49,7 @@ def multiscale(
     axes: Array,
     spread: Array,
     share: Array,
+    gains: Array | None = None,
     strength: float = 1.0,
 ) -> Array:
     """Remove noise of known strength from every scale of a picture.
@@ -65,6 +68,9 @@ def multiscale(
             changes down and along) in every level and axis, shape (levels, C, 4, 4), for roots of
             samples whose deviation is 1; 2 to 8 levels. 0 keeps the coefficient.
         share: Variance of the roots of each channel over that of samples [1], shape (C,).
+        gains: Gains G of a correction of shading that the samples had, above 0, at nodes that are even
+            from edge to edge of the frame, bilinear between them, shape (ny, nx), 2 to 1024 nodes
+            along each axis; None: none.
         strength: Assumed over true standard deviation of the noise [1], 0 to 100.
         device: A `Device`, or its name for `open_device`.
 
@@ -73,7 +79,8 @@ def multiscale(
 
     Raises:
         BadData: An array has the wrong shape, or `axes` has no inverse.
-        OutOfRange: `noise`, `spread`, `share` or `strength` is negative or not finite.
+        OutOfRange: `noise`, `spread`, `share` or `strength` is negative or not finite, or a gain is not
+            above 0.
 
     Source:
         Thresholds in all places of a transform: Coifman and Donoho 1995, "Translation-invariant
@@ -82,15 +89,16 @@ def multiscale(
         an offset: Anscombe 1948, Biometrika 35. The curve, a parabola's, is new here.
     """
     axes, spread, share = (np.asarray(one, np.float64) for one in (axes, spread, share))
-    channels = _check(planes.shape, axes, spread, share)
+    shading = np.ones((2, 2)) if gains is None else np.asarray(gains, np.float64)
+    channels = _check(planes.shape, axes, spread, share, shading)
     gain, read = check_noise(noise)
-    for name, value, most in (
-        ("spread", spread, np.inf),
-        ("share", share, np.inf),
-        ("strength", np.float64(strength), 100),
-    ):
-        if not (np.isfinite(value) & (value >= 0) & (value <= most)).all():
-            raise OutOfRange(f"multiscale: {name}", value.tolist(), f"0 to {most:g}, finite")
+    for name, value in (("spread", spread), ("share", share)):
+        if not (np.isfinite(value) & (value >= 0)).all():
+            raise OutOfRange(f"multiscale: {name}", float(value.min()), "0 or more, finite")
+    if not 0 <= strength <= 100:
+        raise OutOfRange("strength", strength, "0 <= strength <= 100")
+    if not (np.isfinite(shading) & (shading > 0)).all():
+        raise OutOfRange("multiscale: gains", float(shading.min()), "above 0, finite")
     planes = device.array(planes)
     gain = root_gain(gain, read)
     if strength == 0 or gain == 0:
@@ -108,13 +116,16 @@ def multiscale(
             "CHUNK": CHUNK,
             "BAND": BAND[not lines],
             "LINES": int(lines),
+            "SHADED": int(gains is not None),
         },
     )
     values = [device.empty((channels, high + 2 * TOP, stride)) for high, _, stride in sizes]
+    nodes = *shading.shape, *warp_only(device, channels, int(gains is not None))
+    shading = device.array(shading)
     launch(
         "split",
         values[0].shape[1:],
-        *(planes, device.array(axes), values[0], offset, *sizes[0], *warp_only(device, channels)),
+        *(planes, shading, device.array(axes), values[0], offset, *sizes[0], *nodes),
     )
     for finer, coarser, size, half in zip(values, values[1:], sizes, sizes[1:], strict=False):
         launch("halve", coarser.shape, finer, coarser, *size, *half)
@@ -133,13 +144,13 @@ def multiscale(
     launch(
         "join",
         (rows, cols),
-        *(values[0], *parts[:2], *map(device.array, tables), out, offset, *sizes[0]),
-        *(parts[0].shape[2], *sizes[1][:2], parts[1].shape[2], *warp_only(device, channels)),
+        *(values[0], *parts[:2], shading, *map(device.array, tables), out, offset, *sizes[0]),
+        *(parts[0].shape[2], *sizes[1][:2], parts[1].shape[2], *nodes),
     )
     return out
 
 
-def _check(shape, axes, spread, share):
+def _check(shape, axes, spread, share, shading):
     """Return the number of channels. Raise BadData."""
     channels = shape[0] if len(shape) == 3 else 0
     levels = len(spread) if spread.ndim else 0
@@ -153,6 +164,10 @@ def _check(shape, axes, spread, share):
             f"multiscale: planes {tuple(shape)}, axes {axes.shape}, spread {spread.shape}, share "
             f"{share.shape}; wanted (C, rows, cols) with C from 1 to {MOST_CHANNELS}, (C, C), (levels, C, 4, "
             f"4) with {LEVELS[0]} to {LEVELS[1]} levels, and (C,)"
+        )
+    if shading.ndim != 2 or not 2 <= min(shading.shape) <= max(shading.shape) <= MOST_NODES:
+        raise BadData(
+            f"multiscale: gains {shading.shape}; wanted (ny, nx) nodes, 2 to {MOST_NODES} each"
         )
     if not np.isfinite(axes).all() or not np.linalg.cond(axes) < 1e6:
         raise BadData("multiscale: axes: wanted a matrix of finite numbers that has an inverse")
@@ -235,7 +250,7 @@ def opponent_axes(covariance: np.ndarray, balance: np.ndarray) -> np.ndarray:
     return axes * np.where(axes.sum(1, keepdims=True) < 0, -1, 1)
 
 
-def _inputs(random, channels, rows, cols, levels, noise=(0.01, 0.02), strength=1.0):
+def _inputs(random, channels, rows, cols, levels, noise=(0.01, 0.02), strength=1.0, gains=None):
     """Return inputs with edges, waves and noise, and spreads about those of a mosaic."""
     y, x = np.mgrid[:rows, :cols]
     base = 0.4 + 0.3 * np.sin(x / 5 + y / 9) + 0.3 * ((x + 2 * y) % 60 > 30)
@@ -251,6 +266,7 @@ def _inputs(random, channels, rows, cols, levels, noise=(0.01, 0.02), strength=1
         "axes": axes,
         "spread": spread,
         "share": np.linspace(0.4, 0.8, channels),
+        "gains": gains,
         "strength": strength,
     }
 
@@ -263,7 +279,7 @@ def cases():
         (3, 2, 7, 5, {}),
         (1, 33, 65, 5, {}),
         (3, 67, 129, 5, {}),
-        (3, 70, 200, 5, {"noise": (0.02, 0.0)}),
+        (3, 70, 200, 5, {"noise": (0.02, 0.0), "gains": random.uniform(1, 3, (3, 5))}),
         (2, 66, 131, 2, {"noise": (0.0, 0.05), "strength": 4.0}),
         (4, 40, 31, 8, {"strength": 0.5}),
         (8, 9, 130, 3, {}),
@@ -283,9 +299,9 @@ def _tolerance(inputs):
     With P the largest value in the axes, a level errs by e = root(C + 4 + 3 levels) r P: C products, their sums, the
     roots, and the means of each level. Transforms keep the mean square of errors. Their 4 steps have sums of up to 4 P
     and add 2 r 4 P. The curve's slope is 3 at most, the mean of 16 blocks adds none: D errs by 3 (e + 8 r P). It acts
-    twice, itself and by its means; levels add as squares. The inverse of the axes multiplies by its norm I, and a
-    linear value errs by 2 m times that, m^2 with 8 roundings of its own. The largest of some 10^4 is below 8 times the
-    root mean square.
+    twice, itself and by its means; levels add as squares. The inverse of the axes multiplies by its norm I. A linear
+    value errs by 2 m times that and has 32 roundings of m^2, its own and those of the gain, which multiplies all. The
+    largest of some 10^4 is below 8 times the root mean square.
     """
     planes, axes = np.asarray(inputs["planes"], np.float64), inputs["axes"]
     gain = root_gain(*inputs["noise"])
@@ -294,7 +310,9 @@ def _tolerance(inputs):
     most, m = np.abs(np.tensordot(axes, roots, 1)).max(), roots.max()
     level = 3 * (np.sqrt(len(planes) + 4 + 3 * levels) + 8) * rounding * most
     inverse = np.linalg.norm(np.linalg.inv(axes), 2)
-    return 8 * (2 * m * inverse * 2 * np.sqrt(levels) * level + 3 * rounding * m**2)
+    gains = inputs["gains"]
+    factor = 1.0 if gains is None else gains.max()
+    return factor * 8 * (2 * m * inverse * 2 * np.sqrt(levels) * level + 6 * rounding * m**2)
 
 
 def bench(rows, cols):
@@ -302,6 +320,6 @@ def bench(rows, cols):
     return _inputs(np.random.default_rng(40), 3, rows, cols, 5)
 
 
-def operations(planes, noise, axes, spread, share, strength=1.0):
+def operations(planes, noise, axes, spread, share, gains=None, strength=1.0):
     """Count operations: per pixel and channel 16 coefficients of 10, four transforms of 8, and 60 for the rest."""
     return round(planes.size * 4 / 3 * (160 + 8 + 32 + 32 + 8 + 16 + 60))

@@ -1,4 +1,4 @@
-"""x = m |m| - offset + share lost(m), m = inverse (p - R_0), p = axes root(x + offset), float64.
+"""x = G (m |m| - offset + share lost(m)), m = inverse (p - R_0), p = axes root(x / G + offset), float64.
 
 R_l = D_l + up(R_{l+1} - down(D_l)), D_l the mean of what 4 x 4 blocks of down^l(p) lose for noise, all but their mean.
 """
@@ -11,14 +11,17 @@ from gpusim.kernels.processor.levels import root_loss
 WALSH = np.array([[1, 1, 1, 1], [1, 1, -1, -1], [1, -1, -1, 1], [1, -1, 1, -1]]) / 2
 
 
-def multiscale(planes, *, noise, axes, spread, share, strength=1.0):
+def multiscale(planes, *, noise, axes, spread, share, gains=None, strength=1.0):
     """Return the stage's result, see `multiscale.py`."""
     planes = np.asarray(planes, np.float64)
     gain, read = root_gain(*noise), noise[1]
     if strength == 0 or gain == 0:
         return planes
     offset = 3 / 8 * gain + read**2 / gain
-    values = planes + offset
+    shading = (
+        1.0 if gains is None else _interpolate(np.asarray(gains, np.float64), planes.shape[1:])
+    )
+    values = planes / shading + offset
     values = np.tensordot(axes, np.sign(values) * np.sqrt(np.abs(values)), 1)
     limits = (2.2, *[2.6] * (len(planes) - 1))
     t = np.asarray(spread) * np.reshape(limits, (-1, 1, 1)) * strength * np.sqrt(gain) / 2
@@ -27,7 +30,17 @@ def multiscale(planes, *, noise, axes, spread, share, strength=1.0):
     near, far, *powers = root_loss(gain, read).astype(np.float64)
     lost = np.polyval(powers, np.minimum(1, far / (near + m**2)))
     share = np.reshape(share, (-1, 1, 1)) * min(1, strength)
-    return m * np.abs(m) - offset + share * lost
+    return shading * (m * np.abs(m) - offset + share * lost)
+
+
+def _interpolate(nodes, shape):
+    """Return nodes that are even from edge to edge at the pixels, linear between them."""
+    for axis, n in enumerate(shape):
+        place = (np.arange(n) + 0.5) / n * (nodes.shape[axis] - 1)
+        before = place.astype(int)
+        part = (place - before).reshape(-1, *[1] * (1 - axis))
+        nodes = (1 - part) * nodes.take(before, axis) + part * nodes.take(before + 1, axis)
+    return nodes
 
 
 def _removed(p, t):

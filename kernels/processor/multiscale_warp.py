@@ -20,10 +20,41 @@ def mirrored(i: int, size: int):
     return wp.clamp(j, 0, size - 1)
 
 
+@wp.func
+def node_before(i: int, nodes: int, size: int):
+    """Return the node before pixel i, of nodes that are even from edge to edge, and the fraction."""
+    place = (2 * i + 1) * (nodes - 1)
+    before = place / (2 * size)
+    return before, float(place - before * 2 * size) / float(2 * size)
+
+
+@wp.func
+def gain_at(
+    gains: wp.array2d[float],
+    y: int,
+    x: int,
+    rows: int,
+    cols: int,
+    ny: int,
+    nx: int,
+    shaded: int,
+):
+    """Return the gain of the shading correction that was applied to a pixel."""
+    gain = float(1.0)
+    if shaded != 0:
+        j, v = node_before(y, ny, rows)
+        i, u = node_before(x, nx, cols)
+        near = (1.0 - u) * gains[j, i] + u * gains[j, i + 1]
+        far = (1.0 - u) * gains[j + 1, i] + u * gains[j + 1, i + 1]
+        gain = (1.0 - v) * near + v * far
+    return gain
+
+
 @wp.kernel
 def split(
     # in:
     planes: wp.array3d[float],
+    gains: wp.array2d[float],
     axes: wp.array2d[float],
     # out:
     values: wp.array3d[float],
@@ -33,15 +64,19 @@ def split(
     rows: int,
     cols: int,
     stride: int,
+    ny: int,
+    nx: int,
     channels: int,
+    shaded: int,
 ):
     y, x = wp.tid()
     v = mirrored(y - TOP, rows)
     u = mirrored(x - LEFT, cols)
+    gain = gain_at(gains, v, u, rows, cols, ny, nx, shaded)
     for a in range(channels):
         sum = float(0.0)
         for c in range(channels):
-            value = planes[c, v, u] + offset
+            value = planes[c, v, u] / gain + offset
             root = wp.sqrt(wp.abs(value))
             sum += axes[a, c] * wp.where(value < 0.0, -root, root)
         values[a, y, x] = sum
@@ -255,6 +290,7 @@ def join(
     values: wp.array3d[float],
     noise: wp.array3d[float],
     coarse: wp.array3d[float],
+    gains: wp.array2d[float],
     inverse: wp.array2d[float],
     share: wp.array[float],
     loss: wp.array[float],
@@ -270,9 +306,13 @@ def join(
     high: int,
     across: int,
     wide: int,
+    ny: int,
+    nx: int,
     channels: int,
+    shaded: int,
 ):
     y, x = wp.tid()
+    gain = gain_at(gains, y, x, rows, cols, ny, nx, shaded)
     for c in range(channels):
         root = float(0.0)
         for a in range(channels):
@@ -280,4 +320,4 @@ def join(
             root += inverse[c, a] * (clean - doubled(coarse, a, y, x, high, across))
         near = wp.min(loss[1] / (loss[0] + root * root), 1.0)
         lost = (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6]
-        planes[c, y, x] = root * wp.abs(root) - offset + share[c] * lost
+        planes[c, y, x] = gain * (root * wp.abs(root) - offset + share[c] * lost)

@@ -35,6 +35,8 @@ SETTINGS = {
     "known": {"defects": "known"},
     "shaded": {"shading": True},
     "denoised": {"denoise": 1.0},
+    "denoised after best": {"denoise": 1.0, "demosaic": "best", "shading": True},
+    "mosaic denoised": {"denoise": 1.0, "denoise_by": "mosaic"},
     "all": {
         "defects": "known",
         "shading": True,
@@ -185,9 +187,9 @@ def test_report_names_the_steps_in_order():
     stages = [stage.stage for stage in report.stages]
     assert stages[stages.index("sensor.noise") + 1 :] == [
         "processor.defects",
-        "processor.denoise",
         "processor.shade",
         "processor.malvar",
+        "processor.multiscale",
         "processor.color",
         "processor.sharpen",
         "display.encode",
@@ -359,7 +361,12 @@ def test_layers_of_stacked_pixels_do_not_meet():
     """Every layer is corrected as if it were alone: the other layers' values change nothing in it."""
     letters = ("R", "G", "B")
     camera = camera_with(
-        {"dead_pixels": 0.02}, {"stacked": True}, shading=True, denoise=1.0, defects="known"
+        {"dead_pixels": 0.02},
+        {"stacked": True},
+        shading=True,
+        denoise=1.0,
+        denoise_by="mosaic",
+        defects="known",
     )
     simulator = Simulator(camera, device="opencl")
     exposure = simulator.expose(chart("colorchecker", size=(60, 40)))

@@ -35,7 +35,7 @@ def test_no_look_is_linear():
     assert Processor() == Processor(look="linear") and CHOSEN.keys() == LOOKS.keys()
     camera = gs.open_camera("phone")
     stages = [stage.stage for stage in take(camera).report.stages]
-    assert "processor.denoise" not in stages and "processor.sharpen" not in stages
+    assert "processor.multiscale" not in stages and "processor.sharpen" not in stages
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,10 @@ def test_captures_have_the_look():
     assert (np.array(means[1]) > 1.1 * np.array(means[0])).all()
 
 
-def test_a_look_leaves_denoising_to_the_network():
+def test_a_look_leaves_the_mosaic_to_the_network():
+    """Noise that is left after the network is removed; the mosaic before it stays as it is."""
     network = gs.open_camera("phone").with_(demosaic="network", look="phone")
+    assert network.processor.denoising == 1.5
+    network = network.with_(denoise_by="mosaic")
     assert network.processor.denoising == 0.0 < network.with_(demosaic="best").processor.denoising
     assert network.with_(denoise=1.0).processor.denoising == 1.0

@@ -39,6 +39,7 @@ CAMERAS = {
     "corrected": camera_with(
         processor={"denoise": 1.0, "sharpen": 1.0, "shading": True, "defects": "detect"}
     ),
+    "mosaic denoised": camera_with(processor={"denoise": 1.0, "denoise_by": "mosaic"}),
     "no converter": camera_with(sensor={"bits": FLOAT_BITS}),
     "noise of every kind": camera_with(
         noise={

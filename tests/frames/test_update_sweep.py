@@ -132,6 +132,7 @@ VALUES = {  # of every key, and of others that it needs
         "scaling": '"normalised"',
         "shading": "false",
         "denoise": "1.0",
+        "denoise_by": '"mosaic"',
         "tone": "[[0, 0], [0.5, 0.7], [1, 1]]",
         "sharpen": "0.7",
         "look": '"phone"',

@@ -198,9 +198,9 @@ def test_nothing_stale_is_used(device, change, scene):
                 if name
                 in (
                     "sensor.noise",
-                    "processor.denoise",
                     "processor.shade",
                     "processor.adaptive",
+                    "processor.multiscale",
                     "processor.color",
                     "display.encode",
                 )

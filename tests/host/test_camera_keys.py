@@ -95,6 +95,7 @@ VALUES = {
         "defects": "known",
         "shading": True,
         "denoise": 1.0,
+        "denoise_by": "mosaic",
         "demosaic": "malvar",
         "table": None,
         "network": None,

@@ -61,6 +61,7 @@ def test_stages_with_a_form_for_gpus_are_found():
         "processor.average",
         "processor.flash",
         "processor.merge",
+        "processor.multiscale",
         "processor.denoise",
         "processor.defects",
         "processor.malvar",

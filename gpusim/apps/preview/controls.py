@@ -11,7 +11,15 @@ from gpusim.domain.exposure import METHODS
 from gpusim.domain.key_words import AUTO, default_of, describe_wanted, unit_of
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.optics import MODELS
-from gpusim.domain.processor import COLORS, DEFECTS, DEMOSAICS, LOOKS, SCALINGS, WHITE_BALANCES
+from gpusim.domain.processor import (
+    COLORS,
+    DEFECTS,
+    DEMOSAICS,
+    DENOISERS,
+    LOOKS,
+    SCALINGS,
+    WHITE_BALANCES,
+)
 from gpusim.domain.tone import TONES as TONES_BY_NAME
 
 OWN = "the scene's"  # light
@@ -254,6 +262,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         _choice("processor", "look", "look", tuple(LOOKS)),
         _choice("processor", "defects", "defects", DEFECTS),
         _linear("processor", "denoise", "denoising", 0.0, 4.0),
+        _choice("processor", "denoise_by", "denoised", DENOISERS),
         _choice("processor", "demosaic", "demosaicking", DEMOSAICS),
         _text("processor", "table", "learned filters"),
         _text("processor", "network", "network's weights"),
