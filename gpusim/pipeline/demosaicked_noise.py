@@ -1,4 +1,4 @@
-"""The noise of a mosaic after demosaicking: how strong it is at each scale, and how channels share it."""
+"""The noise of a mosaic after demosaicking, at each scale and among the channels, and its removal."""
 
 import functools
 from collections.abc import Callable, Mapping
@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from gpusim.kernels.processor.levels import MOST_BALANCE
+from gpusim.kernels.processor.multiscale import multiscale, opponent_axes
 
 SIZE = 192  # rows and columns of the field that is measured
 ELECTRONS = 100.0  # mean of its samples
@@ -68,6 +71,31 @@ def measure_noise(
         The noise; cached for equal arguments.
     """
     return _measure(demosaic, _Arguments(dict(constants)), assumed)
+
+
+def denoise_planes(
+    planes, white, shading=None, *, measured, noise, strength, is_balanced=False, device
+) -> Any:
+    """Return camera values denoised in a luminance and chromas that grey does not have.
+
+    white: camera values of white, shape (C,), or None. shading: gains that were applied, as for `Developer.demosaic`.
+    measured: a `DemosaickedNoise`. is_balanced: whether white is equal in all planes.
+    """
+    if white is None or is_balanced:
+        white = np.ones(planes.shape[0])
+    white = np.maximum(np.asarray(white, np.float64), 0)
+    balance = white.max() / np.maximum(white, white.max() / MOST_BALANCE)
+    axes = opponent_axes(measured.large_scale, balance)
+    return multiscale(
+        planes,
+        noise=noise,
+        axes=axes,
+        spread=measured.spread(axes),
+        share=measured.share,
+        gains=None if shading is None else np.asarray(shading).mean(0),
+        strength=strength,
+        device=device,
+    )
 
 
 class _Arguments:

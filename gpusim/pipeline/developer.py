@@ -33,14 +33,14 @@ from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
 from gpusim.kernels.processor.linear import linear
 from gpusim.kernels.processor.malvar import malvar
-from gpusim.kernels.processor.multiscale import multiscale, multiscale_memory, opponent_axes
+from gpusim.kernels.processor.multiscale import multiscale_memory
 from gpusim.kernels.processor.network import network, network_memory
 from gpusim.kernels.processor.quantise import quantise
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.sharpen import detail_gain, sharpen
 from gpusim.kernels.processor.thumbnail import thumbnail
 from gpusim.pipeline.cache import Cache
-from gpusim.pipeline.demosaicked_noise import LEVELS, measure_noise, white_noise
+from gpusim.pipeline.demosaicked_noise import LEVELS, denoise_planes, measure_noise, white_noise
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
@@ -375,7 +375,7 @@ class Developer:
             others = {"demosaic", "places", "noise", "black_level", "scale"}
             arguments = {key: value for key, value in constants.items() if key not in others}
             told, gain = constants.get("noise", (0.0, 0.0)), max(numbers.noise)
-            assumed = max(told) / gain if gain else 0.0
+            assumed = round(max(told) / gain, 6) if gain else 0.0
             measured = measure_noise(constants.get("demosaic", demosaic), arguments, assumed)
         gain, dark = numbers.noise
         chain.add(
@@ -528,31 +528,6 @@ def demosaic_balanced(raw, white, blur=None, *, demosaic, places, device, **cons
     if blur is not None:
         constants = constants | {"blur": blur}
     return demosaic(raw, balance=balance_of(white, places), **constants, device=device)
-
-
-def denoise_planes(
-    planes, white, shading=None, *, measured, noise, strength, is_balanced=False, device
-) -> Any:
-    """Return camera values denoised in a luminance and chromas that grey does not have.
-
-    white: camera values of white, shape (C,), or None. shading: gains that were applied, as for `Developer.demosaic`.
-    measured: a `DemosaickedNoise`. is_balanced: whether white is equal in all planes.
-    """
-    if white is None or is_balanced:
-        white = np.ones(planes.shape[0])
-    white = np.maximum(np.asarray(white, np.float64), 0)
-    balance = white.max() / np.maximum(white, white.max() / MOST_BALANCE)
-    axes = opponent_axes(measured.large_scale, balance)
-    return multiscale(
-        planes,
-        noise=noise,
-        axes=axes,
-        spread=measured.spread(axes),
-        share=measured.share,
-        gains=None if shading is None else np.asarray(shading).mean(0),
-        strength=strength,
-        device=device,
-    )
 
 
 def balance_of(white, places) -> tuple[float, float]:
