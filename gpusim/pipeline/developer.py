@@ -45,7 +45,9 @@ from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
 SHARPENED = 3.0  # [sigma] of noise at which half of a detail's sharpening is left
-BEST_NOISE = 0.4  # share of the noise that `best` is told before denoising, which keeps more detail
+# share of the shot noise that `best` is told before denoising, so that it leaves detail; it is told all of the noise
+# without light, as else its roots would darken black
+BEST_SHOT_NOISE = 0.4
 CLIPPED = 0.95  # share of saturation: values interpolated next to a clipped pixel lie just below it
 
 
@@ -338,8 +340,9 @@ class Developer:
                 }
             if method == "best":
                 others.append("blur")
-                share = BEST_NOISE if self._is_denoised_after else 1.0
-                constants |= {"noise": (share * numbers.noise[0], share * numbers.noise[1])}
+                gain, dark = numbers.noise
+                gain *= BEST_SHOT_NOISE if self._is_denoised_after else 1.0
+                constants |= {"noise": (gain, dark)}
         channels, pixels = 3 if processor.table is not None else len(sensor.channels), prod(shape)
         area = pixels // (len(sensor.channels) if sensor.stacked else 1)
         chain.add(
@@ -374,8 +377,9 @@ class Developer:
         else:
             others = {"demosaic", "places", "noise", "black_level", "scale"}
             arguments = {key: value for key, value in constants.items() if key not in others}
-            told, gain = constants.get("noise", (0.0, 0.0)), max(numbers.noise)
-            assumed = round(max(told) / gain, 6) if gain else 0.0
+            told = constants.get("noise", (0.0, 0.0))
+            part = int(not numbers.noise[0])  # the shot noise, if there is any
+            assumed = round(told[part] / numbers.noise[part], 6) if numbers.noise[part] else 0.0
             measured = measure_noise(constants.get("demosaic", demosaic), arguments, assumed)
         gain, dark = numbers.noise
         chain.add(

@@ -52,9 +52,7 @@ def test_colour_blotches_of_a_dim_field_are_gone():
     raw, options = flat_mosaic(256)
     told = 0.4
     noise = (options["scale"] * GAIN, options["scale"] * GAIN * READ)
-    made = best(
-        raw, phase="RGGB", noise=(told * GAIN, told * GAIN * READ), device="opencl", **options
-    )
+    made = best(raw, phase="RGGB", noise=(told * GAIN, GAIN * READ), device="opencl", **options)
     result = clean(made, noise, measure_noise(best, {"phase": "RGGB"}, told))
     before, after = (lab_of_blocks(planes)[..., 1:].std((0, 1)) for planes in (made, result))
     assert after[0] <= 0.6 and after[1] <= 0.7
