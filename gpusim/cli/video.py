@@ -129,6 +129,12 @@ class VideoRequest(MovingRequest):
         metavar="HZ,DUTY",
         help="all light is switched at this frequency and is on for this part of the time",
     )
+    average: int | None = option(
+        type=whole(2, 16),
+        metavar="N",
+        help="merge each frame with up to N - 1 frames before it, 2 .. 16, aligned to it, so that noise "
+        "falls; what moves has no ghosts; frames of another exposure are left out",
+    )
     codec: str | None = option(
         in_key=False,
         metavar="NAME",
@@ -168,6 +174,11 @@ class VideoRequest(MovingRequest):
                 self.refuse(name, f"--ramp {flag} sets it in every frame", "give only one of them")
         if self.lag is not None and self.lag.focus is not None:
             self.refuse("focus", "--lag focus sets it in every frame", "give only one of them")
+        if self.capture is not None:
+            self.refuse("average", "--capture merges frames of its own")
+        if self.blur or self.flicker or self.pwm:
+            remedy = "leave out --blur, --flicker and --pwm"
+            self.refuse("average", "it merges frames without movement in themselves", remedy)
         if self.flicker is not None:
             self.refuse("pwm", "--flicker already sets the light", "give only one of them")
         if self.lerobot is None and self.suffix not in ENCODED:
@@ -187,7 +198,7 @@ class VideoRequest(MovingRequest):
         if not (self.blur or self.flicker or self.pwm):
             self.check_movement(scenes)
         if scenes.count == 1:
-            for name in ("ramp", "lag"):
+            for name in ("ramp", "lag", "average"):
                 self.refuse(name, "a single frame does not change", "make more --frames")
 
 
@@ -204,6 +215,7 @@ def video(request: VideoRequest) -> int:
         GpusimError: If an option or a file is wrong.
     """
     from gpusim.apps.devices import run_together
+    from gpusim.apps.video.averaged import averaged_frames
     from gpusim.apps.video.loops import NO_LOOPS, Loops
     from gpusim.apps.video.manifest import Plans, keep_manifest
     from gpusim.apps.video.pipeline import Clock
@@ -223,7 +235,7 @@ def video(request: VideoRequest) -> int:
     own = request.shard.of(segments)
     target, manifest, made = _target(request, simulator, scenes, segments)
     is_blurred = bool(request.blur or request.flicker or request.pwm)
-    capture = request.capture or ONE_FRAME
+    capture, average = request.capture or ONE_FRAME, request.average
     capture = replace(capture, merged=capture.merged or capture.has_frames)
     request.refuse_unread("video")
     for folder in target.folders:
@@ -236,6 +248,8 @@ def video(request: VideoRequest) -> int:
     generator: Any = frames
     if is_blurred or request.capture:
         generator = partial(captured_frames, capture=capture, blur=is_blurred)
+    elif average:
+        generator = partial(averaged_frames, count=average)
     settings = {"seed": request.seed, "ramps": request.ramp, "loops": loops}
     written, simulators, clock = [], simulator.on_devices(), Clock()
     for turn, one in enumerate(simulators):  # each makes whole segments, of scenes of its own

@@ -233,15 +233,20 @@ def captured_frames(
             values: Any
             if output is None or capture.merged:
                 (values,) = capture.frames(simulator, shots)
-                values = values.complete()
-                if output is not None:
-                    values = {"raw": values.raw, "codes": values.rgb}.get(output, values.linear)
+                values = take_output(values.complete(), output, late)
             else:
                 values = _fetch(simulator, shots[0].output(output), output)()
-            if late and output is not None:
-                values = partial(_same, values)
+                values = partial(_same, values) if late else values
             account = exposure.plan.account.at(exposure.exposure_time)
             yield Made.of(number, values, account, exposure)
+
+
+def take_output(frame: Frame, output: str | None, late: bool) -> Any:
+    """Return an output of a frame, or the frame if it is None. late: as a function that returns it."""
+    if output is None:
+        return frame
+    values = {"raw": frame.raw, "codes": frame.rgb}.get(output, frame.linear)
+    return partial(_same, values) if late else values
 
 
 def _same(values):
