@@ -117,8 +117,6 @@ class Processor:
         shading: Divide out the fall-off of lens and pixels towards the corners.
         denoise: Strength of denoising: 1 follows the noise model, 0 is off; None: the look's, but 0
             before demosaic "network".
-        denoise_by: "multiscale" (after demosaicking, luminance and chroma apart, at several scales) or
-            "mosaic" (before demosaicking, by means of similar pixels).
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
             blur), "learned" (local linear filters from a table), "network" (a small network that also
@@ -152,6 +150,8 @@ class Processor:
             none of them.
         network: Weights of demosaic "network"; None: the built-in ones.
         white: Camera values of white for white balance "preset", one per channel, any scale.
+        denoise_by: "multiscale" (after demosaicking, luminance and chroma apart, at several scales) or
+            "mosaic" (before demosaicking, by means of similar pixels).
 
     Raises:
         BadData: The tone curve or `white` has the wrong form.
@@ -162,7 +162,6 @@ class Processor:
     defects: str = "none"
     shading: bool = False
     denoise: float | None = None
-    denoise_by: str = "multiscale"
     demosaic: str = "auto"
     table: FilterTable | None = None
     white_balance: str = "illuminant"
@@ -175,6 +174,7 @@ class Processor:
     look: str = "linear"
     network: Network | None = None
     white: tuple[float, ...] = ()
+    denoise_by: str = "multiscale"
 
     __repr__ = short_repr
 

@@ -4,10 +4,10 @@
 // begin, and `gather` adds what they say about each pixel.
 #define LEFT 8
 #define TOP 3
-#define CEILING 1.5f  // of the share that is removed, before it is limited to 1: see `removed_part`
+#define CEILING 1.5f  // of the share that is removed, before it is limited to 1: see `noise_part`
 
 // Pixel of 0 .. size - 1 in place of one outside, mirrored with the end repeated.
-inline int mirrored(const int i, const int size)
+inline int mirror_index(const int i, const int size)
 {
     return clamp(i < 0 ? -1 - i : i >= size ? 2 * size - 1 - i : i, 0, size - 1);
 }
@@ -48,7 +48,7 @@ __kernel void split(
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= stride || y >= rows + 2 * TOP)
     const long pixels = (long)rows * cols, level = (long)(rows + 2 * TOP) * stride;
-    const int v = mirrored(y - TOP, rows), u = mirrored(x - LEFT, cols);
+    const int v = mirror_index(y - TOP, rows), u = mirror_index(x - LEFT, cols);
     const long from = (long)v * cols + u, to = (long)y * stride + x;
     const float gain = gain_at(gains, v, u, rows, cols, ny, nx);
     float root[CHANNELS];
@@ -76,7 +76,7 @@ __kernel void halve(
 {
     const int x = get_global_id(0), y = get_global_id(1), axis = get_global_id(2);
     GUARD(x >= wide || y >= high + 2 * TOP)
-    const int v = 2 * mirrored(y - TOP, high), u = 2 * mirrored(x - LEFT, across);
+    const int v = 2 * mirror_index(y - TOP, high), u = 2 * mirror_index(x - LEFT, across);
     const int right = min(u + 1, cols - 1) - u, down = (min(v + 1, rows - 1) - v) * stride;
     __global const float *at = values + ((long)axis * (rows + 2 * TOP) + v + TOP) * stride + u + LEFT;
     means[((long)axis * (high + 2 * TOP) + y) * wide + x] =
@@ -88,7 +88,7 @@ typedef float8 real;
 #define COUNT (CHUNK / 8 + 1)  // vectors of columns in which blocks begin: 8 before the chunk, of which 3 count, and its own
 
 // The part of a coefficient that is taken for noise: all up to the threshold t, nothing from sqrt(3) t on.
-inline real removed_part(const real coefficient, const float scale)
+inline real noise_part(const real coefficient, const float scale)
 {
     return coefficient * clamp(CEILING - coefficient * coefficient * scale, 0.0f, 1.0f);
 }
@@ -130,9 +130,9 @@ __kernel void shrink(
             for (int i = 0; i < COUNT; ++i) {
                 const real a = along[r0][k][i], b = along[r1][k][i], c = along[r2][k][i], d = along[r3][k][i];
                 const real up = a + b, low = c + d, fall = a - b, rise = c - d;
-                const real mean = k ? removed_part(up + low, s0) : (real)0.0f;
-                const real half_part = removed_part(up - low, s1), bump = removed_part(fall - rise, s2),
-                           zigzag = removed_part(fall + rise, s3);
+                const real mean = k ? noise_part(up + low, s0) : (real)0.0f;
+                const real half_part = noise_part(up - low, s1), bump = noise_part(fall - rise, s2),
+                           zigzag = noise_part(fall + rise, s3);
                 const real same = mean + half_part, other = mean - half_part, one = bump + zigzag, two = bump - zigzag;
                 removed[r0][k][i] += same + one;
                 removed[r1][k][i] += same - one;
@@ -163,7 +163,7 @@ inline float4 walsh(const float4 v)
     return (float4)(sums.x + sums.y, sums.x - sums.y, differences.x - differences.y, differences.x + differences.y);
 }
 
-inline float4 removed_part(const float4 coefficient, const float4 scale)
+inline float4 noise_part(const float4 coefficient, const float4 scale)
 {
     return coefficient * clamp(CEILING - coefficient * coefficient * scale, 0.0f, 1.0f);
 }
@@ -172,10 +172,10 @@ inline float4 removed_part(const float4 coefficient, const float4 scale)
 inline void remove_noise(const float4 row[4], const float4 scale[4], float4 removed[4])
 {
     const float4 up = row[0] + row[1], low = row[2] + row[3], fall = row[0] - row[1], rise = row[2] - row[3];
-    float4 mean = removed_part(up + low, scale[0]);
+    float4 mean = noise_part(up + low, scale[0]);
     mean.x = 0.0f;  // of the block: a coarser level removes its noise
-    const float4 half_part = removed_part(up - low, scale[1]), bump = removed_part(fall - rise, scale[2]),
-                 zigzag = removed_part(fall + rise, scale[3]);
+    const float4 half_part = noise_part(up - low, scale[1]), bump = noise_part(fall - rise, scale[2]),
+                 zigzag = noise_part(fall + rise, scale[3]);
     const float4 same = mean + half_part, other = mean - half_part, one = bump + zigzag, two = bump - zigzag;
     removed[0] += same + one;
     removed[1] += same - one;
@@ -272,7 +272,7 @@ __kernel void compare(
 }
 
 // Bilinear interpolation from half the resolution at pixel (y, x).
-inline float doubled(__global const float *restrict coarse, const int y, const int x, const int high, const int across,
+inline float interpolate(__global const float *restrict coarse, const int y, const int x, const int high, const int across,
                      const int wide)
 {
     const int v = y / 2, u = x / 2;
@@ -292,7 +292,7 @@ __kernel void merge(
     const int x = get_global_id(0), y = get_global_id(1), axis = get_global_id(2);
     GUARD(x >= cols || y >= rows)
     noise[((long)axis * rows + y) * stride + x] +=
-        doubled(coarse + (long)axis * high * wide, y, x, high, across, wide);
+        interpolate(coarse + (long)axis * high * wide, y, x, high, across, wide);
 }
 
 __kernel void join(
@@ -320,7 +320,7 @@ __kernel void join(
 #pragma unroll
     for (int a = 0; a < CHANNELS; ++a)
         clean[a] = values[a * level + from] - noise[((long)a * rows + y) * pitch + x]
-                   - doubled(coarse + (long)a * high * wide, y, x, high, across, wide);
+                   - interpolate(coarse + (long)a * high * wide, y, x, high, across, wide);
 #pragma unroll
     for (int c = 0; c < CHANNELS; ++c) {
         float root = 0.0f;

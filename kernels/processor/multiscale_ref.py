@@ -25,7 +25,7 @@ def multiscale(planes, *, noise, axes, spread, share, gains=None, strength=1.0):
     values = np.tensordot(axes, np.sign(values) * np.sqrt(np.abs(values)), 1)
     limits = (2.2, *[2.6] * (len(planes) - 1))
     t = np.asarray(spread) * np.reshape(limits, (-1, 1, 1)) * strength * np.sqrt(gain) / 2
-    noise_in = np.array([_removed(p, t[:, a]) for a, p in enumerate(values)])
+    noise_in = np.array([_find_noise(p, t[:, a]) for a, p in enumerate(values)])
     m = np.tensordot(np.linalg.inv(axes), values - noise_in, 1)
     near, far, *powers = root_loss(gain, read).astype(np.float64)
     lost = np.polyval(powers, np.minimum(1, far / (near + m**2)))
@@ -43,17 +43,17 @@ def _interpolate(nodes, shape):
     return nodes
 
 
-def _removed(p, t):
+def _find_noise(p, t):
     """Return the noise in a plane. t: thresholds of the coefficients, (levels, 4, 4)."""
-    noise = _removed_by_blocks(p, t[0])
+    noise = _find_block_noise(p, t[0])
     if len(t) == 1:
         return noise
-    return noise + _up(_removed(_down(p), t[1:]) - _down(noise), p.shape)
+    return noise + _up(_find_noise(_down(p), t[1:]) - _down(noise), p.shape)
 
 
-def _removed_by_blocks(p, t):
+def _find_block_noise(p, t):
     rows, cols = p.shape
-    blocks = np.lib.stride_tricks.sliding_window_view(_mirrored(p), (4, 4))
+    blocks = np.lib.stride_tricks.sliding_window_view(_mirror(p), (4, 4))
     c = WALSH @ blocks @ WALSH.T
     with np.errstate(divide="ignore", invalid="ignore"):
         c = np.where(c == 0, 0, c * np.clip(1.5 - c**2 / (2 * t**2), 0, 1))
@@ -65,7 +65,7 @@ def _removed_by_blocks(p, t):
     )
 
 
-def _mirrored(p):
+def _mirror(p):
     """Return a plane with three more pixels on each side; what is beyond its other side is its last pixel."""
     for axis in (0, 1):
         n, i = p.shape[axis], np.arange(-3, p.shape[axis] + 3)

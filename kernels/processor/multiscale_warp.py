@@ -10,7 +10,7 @@ TOP = wp.constant(3)
 
 
 @wp.func
-def mirrored(i: int, size: int):
+def mirror_index(i: int, size: int):
     """Return the pixel in place of one outside, mirrored with the end repeated."""
     j = int(i)
     if i < 0:
@@ -70,8 +70,8 @@ def split(
     shaded: int,
 ):
     y, x = wp.tid()
-    v = mirrored(y - TOP, rows)
-    u = mirrored(x - LEFT, cols)
+    v = mirror_index(y - TOP, rows)
+    u = mirror_index(x - LEFT, cols)
     gain = gain_at(gains, v, u, rows, cols, ny, nx, shaded)
     for a in range(channels):
         sum = float(0.0)
@@ -97,8 +97,8 @@ def halve(
     wide: int,
 ):
     axis, y, x = wp.tid()
-    v = 2 * mirrored(y - TOP, high)
-    u = 2 * mirrored(x - LEFT, across)
+    v = 2 * mirror_index(y - TOP, high)
+    u = 2 * mirror_index(x - LEFT, across)
     w = wp.min(v + 1, rows - 1) + TOP
     t = wp.min(u + 1, cols - 1) + LEFT
     v += TOP
@@ -117,7 +117,7 @@ def walsh(a: float, b: float, c: float, d: float):
 
 
 @wp.func
-def removed_part(coefficient: wp.vec4, scale: wp.vec4):
+def noise_part(coefficient: wp.vec4, scale: wp.vec4):
     squares = wp.cw_mul(coefficient, coefficient)
     part = wp.vec4(1.5, 1.5, 1.5, 1.5) - wp.cw_mul(squares, scale)
     part = wp.max(wp.min(part, wp.vec4(1.0, 1.0, 1.0, 1.0)), wp.vec4())
@@ -131,11 +131,11 @@ def block_noise(first: wp.vec4, second: wp.vec4, third: wp.vec4, fourth: wp.vec4
     low = third + fourth
     fall = first - second
     rise = third - fourth
-    mean = removed_part(up + low, scale[0])
+    mean = noise_part(up + low, scale[0])
     mean[0] = 0.0
-    half_part = removed_part(up - low, scale[1])
-    bump = removed_part(fall - rise, scale[2])
-    zigzag = removed_part(fall + rise, scale[3])
+    half_part = noise_part(up - low, scale[1])
+    bump = noise_part(fall - rise, scale[2])
+    zigzag = noise_part(fall + rise, scale[3])
     same = mean + half_part
     other = mean - half_part
     one = bump + zigzag
@@ -255,7 +255,7 @@ def compare(
 
 
 @wp.func
-def doubled(coarse: wp.array3d[float], axis: int, y: int, x: int, high: int, across: int):
+def interpolate(coarse: wp.array3d[float], axis: int, y: int, x: int, high: int, across: int):
     """Return the bilinear interpolation from half the resolution."""
     v = y / 2
     u = x / 2
@@ -281,7 +281,7 @@ def merge(
     wide: int,
 ):
     axis, y, x = wp.tid()
-    noise[axis, y, x] = noise[axis, y, x] + doubled(coarse, axis, y, x, high, across)
+    noise[axis, y, x] = noise[axis, y, x] + interpolate(coarse, axis, y, x, high, across)
 
 
 @wp.kernel
@@ -317,7 +317,7 @@ def join(
         root = float(0.0)
         for a in range(channels):
             clean = values[a, y + TOP, x + LEFT] - noise[a, y, x]
-            root += inverse[c, a] * (clean - doubled(coarse, a, y, x, high, across))
+            root += inverse[c, a] * (clean - interpolate(coarse, a, y, x, high, across))
         near = wp.min(loss[1] / (loss[0] + root * root), 1.0)
         lost = (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6]
         planes[c, y, x] = gain * (root * wp.abs(root) - offset + share[c] * lost)
