@@ -41,9 +41,9 @@ class FullOfNaN(OpenCLDevice):
             self._cl.enqueue_fill_buffer(self.queue, array.buffer, np.uint8(0xFF), 0, array.nbytes)
         return array
 
-    def _entry(self, stage, program, kernel):
+    def _entry(self, stage, program, kernel, args):
         """Return a kernel, which may use as much local memory as the device says."""
-        entry, of = super()._entry(stage, program, kernel), self._cl.kernel_work_group_info
+        entry, of = super()._entry(stage, program, kernel, args), self._cl.kernel_work_group_info
         taken = entry.get_work_group_info(of.LOCAL_MEM_SIZE, self.cl_device)
         assert taken <= self.local_bytes, f"{stage}, {kernel}: {taken} bytes of local memory"
         return entry
