@@ -132,10 +132,8 @@ def _measure(demosaic, arguments, assumed):
     half = 2 * np.sqrt(np.maximum(planes / (STEP * scale) + 0.375, 0))  # roots of variance 1
     share, levels = half.var((1, 2)), []
     for _ in range(MEASURED):
-        blocks = np.lib.stride_tricks.sliding_window_view(half, (4, 4), axis=(1, 2))
-        blocks = np.einsum("vy,cijyx,ux->vucij", WALSH, blocks, WALSH, optimize=True)
-        blocks = blocks.reshape(*blocks.shape[:3], -1)
-        levels.append(np.einsum("vucb,vudb->vucd", blocks, blocks) / blocks.shape[3])
+        blocks = _transform(_transform(half, 2), 2).reshape(4, 4, len(half), -1)
+        levels.append(blocks @ blocks.swapaxes(2, 3) / blocks.shape[3])
         half = (half[:, ::2] + half[:, 1::2]) / 2
         half = (half[:, :, ::2] + half[:, :, 1::2]) / 2
     rest = (levels[-1][0, 1] + levels[-1][1, 0] + levels[-1][1, 1]) / 3  # the longest waves
@@ -143,3 +141,10 @@ def _measure(demosaic, arguments, assumed):
         rest = rest / 4
         levels.append(np.broadcast_to(rest, levels[0].shape))
     return DemosaickedNoise(np.stack(levels), share)
+
+
+def _transform(values, axis):
+    """Return the Walsh coefficients of all runs of four values along an axis, on a new first axis."""
+    count = values.shape[axis] - 3
+    runs = [values.take(range(first, first + count), axis) for first in range(4)]
+    return np.tensordot(WALSH, np.stack(runs), 1)
