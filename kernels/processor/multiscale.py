@@ -33,7 +33,7 @@ from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, 
 
 LIMITS = 2.2, 2.6  # of luminance and of chroma [s_k]
 LEVELS = 2, 8  # least and most
-MOST_CHANNELS = 8
+MOST_CHANNELS = 64
 MOST_NODES = 1024  # of gains each way: places between them are counted in 32-bit integers
 TOP, LEFT = 3, 8  # margin of a level; after the picture it has room for vectors
 CHUNK, RIGHT = 128, 16  # columns of a CPU's work-item, and further columns that it reads

@@ -12,8 +12,6 @@ from gpusim.captures.merge import merge_burst
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
 
-MOST_AVERAGED = 16  # frames
-
 
 def averaged_frames(
     simulator: Simulator,
@@ -36,7 +34,7 @@ def averaged_frames(
         simulator: Camera and device.
         scenes: Scenes of all frames.
         segments: For each segment its first frame, then the wanted ones.
-        count: Most frames that are averaged, 2 to MOST_AVERAGED.
+        count: Most frames that are averaged, 2 to 16.
         output: Output of `Simulator.stream`. None: a Frame.
         parts: Not used: a Frame has all parts.
         late: As for `frames`.
