@@ -44,7 +44,7 @@ def averaged_frames(
         begin = max(first - count + 1, 0)
         needed = range(begin, wanted[-1] + 1)
         recent: deque[Frame] = deque(maxlen=count)
-        coming = frames(simulator, scenes, [[begin, *needed]], **settings)
+        coming: Any = frames(simulator, scenes, [[begin, *needed]], **settings)
         with closing(coming) as arriving:
             for made in arriving:
                 recent.append(made.values)
