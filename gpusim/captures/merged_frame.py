@@ -10,7 +10,13 @@ from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.simulator import Simulator
 
-COLOURS = "processor.color", "processor.sharpen", "display.encode"  # stages behind the demosaicking
+COLOURS = (  # stages that make linear display RGB, and those behind
+    "processor.color",
+    "processor.sharpen",
+    "processor.local_tone",
+    "processor.gamut",
+    "display.encode",
+)
 PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
 FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
 COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
@@ -43,6 +49,7 @@ def develop_merged(
     """
     device, old, processor_before = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
+    binning = simulator.readout.sensor.binning
     chip = dataclasses.replace(
         old.noise, read=dark_noise * averaged**0.5, **dict.fromkeys(MERGED_NOISE, 0.0)
     )
@@ -66,7 +73,7 @@ def develop_merged(
         camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
         numbers = electrons * np.float32(gain) + np.float32(PEDESTAL)
         raw = np.rint(np.clip(numbers, 0, TOP)).astype(np.uint16)
-        developer = Developer(camera, device, averaged)
+        developer = Developer(camera, device, averaged, binning=binning)
         planes = developer.demosaic(
             device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
             shading=shading,
@@ -94,7 +101,7 @@ def develop_merged(
             white=rendering.white / k,
             saturation=saturated,
         )
-        shown = developer.sharpen(developer.apply_color(planes, rescaled), rescaled, frame.kernel)
+        shown = developer.finish(planes, rescaled, frame.kernel)
         linear, rgb = host_pictures(device, developer, shown)
     first = {}
     if defects != "none":

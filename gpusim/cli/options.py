@@ -345,7 +345,7 @@ class Request(Options):
         in_key=False,
         metavar="NAME",
         help="finish of the picture: linear (light as it is, for training and measurements), "
-        "camera or phone (denoised, with a tone curve, sharpened; settings of the camera file stay) "
+        "camera or phone (denoised, with a tone curve, sharpened, lens corrected; settings of the camera file stay) "
         "(default: the camera's)",
     )
     band: list[str] | tuple = option(

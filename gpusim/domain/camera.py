@@ -144,8 +144,12 @@ class Camera(Tabled):
             and sensor.bits != FLOAT_BITS
             and processor.defects == "none"
             and not processor.denoising
-            and not processor.shading
+            and not processor.corrects_shading
+            and not processor.rebuilds_highlights
+            and not processor.corrects_lens
             and not processor.sharpening
+            and not processor.local_toning
+            and not processor.maps_gamut
             and not processor.estimates_white
             and processor.color not in ROOT_POLYNOMIALS
         )

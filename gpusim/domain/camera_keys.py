@@ -81,6 +81,24 @@ def _mosaic(value):
 _text, _whole, _yes_no = _of(str, "a text"), _of(int, "a whole number"), _of(bool, "true or false")
 
 
+def _or_auto(read, wanted):
+    """Return a reader of "auto", which becomes None, or of what `read` takes."""
+
+    def read_or_auto(value):
+        if value == "auto":
+            return None
+        try:
+            return read(value)
+        except _Wanted:
+            raise _Wanted(f'{wanted}, or "auto"') from None
+
+    return read_or_auto
+
+
+_yes_no_or_auto = _or_auto(_yes_no, "true, false")
+_text_or_auto = _or_auto(_text, "a text")
+
+
 _MILLI, MICRO = 1e3, 1e6  # millimetres and micrometres in a metre
 
 
@@ -347,6 +365,11 @@ _PROCESSOR = {
     "denoise": ("denoise", _number_or_auto()),
     "tone": ("tone", _tone),
     "sharpen": ("sharpen", _number_or_auto()),
+    "shading": ("shading", _yes_no_or_auto),
+    "highlights": ("highlights", _text_or_auto),
+    "lens_corrections": ("lens_corrections", _yes_no_or_auto),
+    "local_tone": ("local_tone", _number_or_auto()),
+    "gamut": ("gamut", _text_or_auto),
 }
 _DISPLAY = {
     "primaries": ("primaries", _pairs(3)),

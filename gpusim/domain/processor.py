@@ -1,6 +1,7 @@
 """The image processor: from the mosaic of digital numbers to display codes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -37,6 +38,8 @@ COLORS = (
     "none",
 )
 ROOT_POLYNOMIALS = ("root-polynomial", "root-polynomial-3")  # for three channels
+HIGHLIGHTS = ("clip", "rebuild")
+GAMUTS = ("clip", "map")
 
 
 @dataclass(frozen=True)
@@ -46,13 +49,27 @@ class Look:
     denoise: float = 0.0
     tone: str = NO_TONE
     sharpen: float = 0.0
+    shading: bool = False
+    highlights: str = "clip"
+    lens_corrections: bool = False
+    local_tone: float = 0.0
+    gamut: str = "clip"
 
 
+_CAMERA = Look(
+    denoise=1.0,
+    tone="sigmoid",
+    sharpen=0.5,
+    shading=True,
+    highlights="rebuild",
+    lens_corrections=True,
+    gamut="map",
+)
 # linear light as it is, as training and metrology need it; a camera's picture; a phone's
 LOOKS = {
     "linear": Look(),
-    "camera": Look(denoise=1.0, tone="sigmoid", sharpen=0.5),
-    "phone": Look(denoise=1.5, tone="reinhard", sharpen=1.0),
+    "camera": _CAMERA,
+    "phone": replace(_CAMERA, denoise=1.5, tone="reinhard", sharpen=1.0, local_tone=0.5),
 }
 METHODS = {
     "defects": DEFECTS,
@@ -63,12 +80,15 @@ METHODS = {
     "scaling": SCALINGS,
     "look": tuple(LOOKS),
 }
+CHOICES = {"highlights": HIGHLIGHTS, "gamut": GAMUTS}  # None: the look's
 LIMITS = {
     "shading": Limits("True or False", kind=bool),
+    "lens_corrections": Limits("True or False", kind=bool),
     "table": Limits("a FilterTable, see `gpusim.io.camera.learned.read_table`", kind=FilterTable),
     "network": Limits("a Network, see `gpusim.io.camera.network.read_network`", kind=Network),
     "denoise": Limits("0 (none) .. 4", Interval(0, 4)),
     "sharpen": Limits("0 (none) .. 2", Interval(0, 2)),
+    "local_tone": Limits("0 (none) .. 1", Interval(0, 1)),
 }
 BRIGHTEST = 1e3  # largest input of a tone curve, encoded
 
@@ -114,7 +134,7 @@ class Processor:
     Args:
         defects: Replacement of dead and hot pixels: "known" (the list of this chip, as from a
             factory), "detect" (pixels that differ from their neighbours) or "none".
-        shading: Divide out the fall-off of lens and pixels towards the corners.
+        shading: Divide out the fall-off of lens and pixels towards the corners. None: the look's.
         denoise: Strength of denoising: 1 follows the noise model, 0 is off; None: the look's, but 0
             before demosaic "network".
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
@@ -146,12 +166,24 @@ class Processor:
         sharpen: Strength of sharpening by the camera's own blur, 0 (none) .. 2, where luminance stands
             out of the noise; 1 takes contrast H to H (2 - H), see `processor.sharpen`. None: the
             look's.
-        look: Name of LOOKS: choices of denoise, tone and sharpen where these are None. "linear" has
-            none of them.
+        look: Name of LOOKS: choices of the settings that are None. "linear" has none of them.
         network: Weights of demosaic "network"; None: the built-in ones.
         white: Camera values of white for white balance "preset", one per channel, any scale.
         denoise_by: "multiscale" (after demosaicking, luminance and chroma apart, at several scales) or
             "mosaic" (before demosaicking, by means of similar pixels).
+        highlights: "clip" (a channel that clips pulls the others to white) or "rebuild" (clipped
+            channels follow from the others and the colour of the light around them, see
+            `processor.highlights`), in linear camera values before the colour transform. None: the
+            look's.
+        lens_corrections: Undo distortion and lateral colour of the camera's own optics, by cubic
+            interpolation: the picture is that of a pinhole with the nominal focal length, magnified
+            if its corners would be empty. None: the look's.
+        local_tone: Strength of local tone mapping after sharpening, 0 (none) .. 1: dark regions
+            become up to 1 + 2 x strength times as bright, see `processor.local_tone`. None: the
+            look's.
+        gamut: Colours outside of the display's gamut: "clip" (each channel to 0 .. 1) or "map" (to
+            the neutral of the same lightness until they are inside, hue kept, see
+            `processor.gamut`). None: the look's.
 
     Raises:
         BadData: The tone curve or `white` has the wrong form.
@@ -160,7 +192,7 @@ class Processor:
     """
 
     defects: str = "none"
-    shading: bool = False
+    shading: bool | None = None
     denoise: float | None = None
     demosaic: str = "auto"
     table: FilterTable | None = None
@@ -175,12 +207,19 @@ class Processor:
     network: Network | None = None
     white: tuple[float, ...] = ()
     denoise_by: str = "multiscale"
+    highlights: str | None = None
+    lens_corrections: bool | None = None
+    local_tone: float | None = None
+    gamut: str | None = None
 
     __repr__ = short_repr
 
     def __post_init__(self):
         for key, known in METHODS.items():
             check_known(f"processor.{key}", getattr(self, key), known)
+        for key, known in CHOICES.items():
+            if getattr(self, key) is not None:
+                check_known(f"processor.{key}", getattr(self, key), known)
         check_fields("processor", self, LIMITS)
         if self.table is not None and self.demosaic != "learned":
             raise OutOfRange(
@@ -251,15 +290,52 @@ class Processor:
         is_spoilt = self.demosaic == "network" and self.denoise_by == "mosaic"
         return 0.0 if is_spoilt else LOOKS[self.look].denoise
 
+    def chosen(self, key: str) -> Any:
+        """Return a setting that a look may choose: the processor's own, or that of its look.
+
+        Args:
+            key: Name of a field of `Look`.
+
+        Returns:
+            The setting.
+        """
+        own = getattr(self, key)
+        return getattr(LOOKS[self.look], key) if own is None else own
+
     @property
     def tone_curve(self) -> tuple | str:
         """Tone curve, set or by the look."""
-        return LOOKS[self.look].tone if self.tone is None else self.tone
+        return self.chosen("tone")
 
     @property
     def sharpening(self) -> float:
         """Strength of sharpening, set or by the look."""
-        return LOOKS[self.look].sharpen if self.sharpen is None else self.sharpen
+        return self.chosen("sharpen")
+
+    @property
+    def corrects_shading(self) -> bool:
+        """True if the fall-off towards the corners is divided out, set or by the look."""
+        return self.chosen("shading")
+
+    @property
+    def corrects_lens(self) -> bool:
+        """True if distortion and lateral colour are undone, set or by the look."""
+        return self.chosen("lens_corrections")
+
+    @property
+    def rebuilds_highlights(self) -> bool:
+        """True if clipped channels are rebuilt, set or by the look."""
+        return self.chosen("highlights") == "rebuild"
+
+    @property
+    def local_toning(self) -> float:
+        """Strength of local tone mapping, set or by the look."""
+        return self.chosen("local_tone")
+
+    @property
+    def maps_gamut(self) -> bool:
+        """True if colours outside of the display's gamut keep their hue, set or by the look."""
+        return self.chosen("gamut") == "map"
 
     @property
     def estimates_white(self) -> bool:

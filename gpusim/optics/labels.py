@@ -10,9 +10,10 @@ import numpy as np
 
 from gpusim.domain.calibration import Framed
 from gpusim.domain.camera import Camera
-from gpusim.domain.distortion import Model, fit_to_frame, ideal
+from gpusim.domain.distortion import Model, RadialPolynomial, fit_to_frame, ideal
 from gpusim.domain.mosaics import bin_mosaic
 from gpusim.domain.scene import BOXES, FLOW, IMAGE, Scene
+from gpusim.optics.correction import magnification
 from gpusim.optics.outside import border_indices
 from gpusim.optics.sampling import frame_start
 
@@ -26,7 +27,8 @@ def carry_labels(scene: Scene, camera: Camera) -> dict[str, np.ndarray]:
     """Return the labels of a scene at the pixels of a camera.
 
     A pixel has the labels of the scene point that its middle looks at. Binned pixels have theirs at
-    the middle of their parts. Outside the scene labels follow its border; for border "zero" they
+    the middle of their parts. If the processor corrects the lens, they are those of its picture: raw
+    values are still where the lens puts them. Outside the scene labels follow its border; for border "zero" they
     are 0, and the depth is infinite.
 
     Args:
@@ -84,6 +86,10 @@ class _Placing:
         distortion: Model | None = None
         if optics.distortion is not None and scene.projection != IMAGE:  # else displaced already
             distortion = fit_to_frame(optics.distortion, scene.shape, sensor.pixel_pitch)
+        if camera.processor.corrects_lens:
+            zoom = magnification(optics, scene.shape, sensor.pixel_pitch)
+            # a corrected picture is that of a pinhole, magnified
+            distortion = RadialPolynomial(0.0, 0.0, sensor.pixel_pitch, 1 / zoom)
         stride, _ = bin_mosaic(sensor.cfa_indices, sensor.binning)
         pixels = [
             _middles(n, parts, step)

@@ -1,5 +1,6 @@
 """A camera's image processor on a device: the steps from digital numbers to a picture."""
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import prod
@@ -10,10 +11,12 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.color.balance import COMPARES_LIGHTS, blocks_of
 from gpusim.color.color import transform_set
-from gpusim.color.rendering import Rendering, rebalance, transform_arguments
+from gpusim.color.lens_correction import find_correction
+from gpusim.color.rendering import Rendering, planes_of, rebalance, transform_arguments
 from gpusim.color.root_polynomial import linearise
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display, decoding
+from gpusim.domain.learned import XYZ
 from gpusim.domain.processor import Processor
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
@@ -27,18 +30,23 @@ from gpusim.kernels.processor.color import color
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.denoise import denoise
 from gpusim.kernels.processor.develop import develop
+from gpusim.kernels.processor.gamut import lms_matrix
 from gpusim.kernels.processor.guided import guided
+from gpusim.kernels.processor.highlights import highlights
 from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
 from gpusim.kernels.processor.linear import linear
+from gpusim.kernels.processor.local_tone import local_tone
 from gpusim.kernels.processor.malvar import malvar
 from gpusim.kernels.processor.multiscale import multiscale_memory
 from gpusim.kernels.processor.network import network, network_memory
 from gpusim.kernels.processor.quantise import quantise
+from gpusim.kernels.processor.rectify import rectify
 from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.sharpen import detail_gain, sharpen
 from gpusim.kernels.processor.thumbnail import thumbnail
+from gpusim.optics.correction import LensCorrection
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.demosaicked_noise import LEVELS, denoise_planes, measure_noise, white_noise
 from gpusim.pipeline.step import Chain, Rate, Step, Values
@@ -97,12 +105,19 @@ class Developer:
         device: Its device.
         averaged: Number of raw values whose mean each value is (digital binning).
         cache: Cache of colour transforms and code thresholds; by default its own.
+        binning: Pixels that are binned to each raw value, along columns and along rows.
     """
 
     def __init__(
-        self, camera: Camera, device: Device, averaged: int = 1, cache: Cache | None = None
+        self,
+        camera: Camera,
+        device: Device,
+        averaged: int = 1,
+        cache: Cache | None = None,
+        binning: tuple[int, int] = (1, 1),
     ):
         self.camera, self.device, self.averaged = camera, device, averaged
+        self.binning = binning
         self._cache = Cache() if cache is None else cache
 
     @property
@@ -149,25 +164,20 @@ class Developer:
         steps.append(Step("colors", "", (rendering_name(camera),), run=colors_of, rate=Rate.FRAME))
         area = pixels // (len(camera.sensor.channels) if camera.sensor.stacked else 1)
         chain = Chain("camera", "linear", Rate.FRAME, device)
+        if self._rebuilds:
+            steps.append(
+                Step("clipping", "", (rendering_name(camera),), run=clipping_of, rate=Rate.FRAME)
+            )
+        self._prepare(chain, area)
         chain.add(
             "processor.color",
-            {},
+            {"is_clipped": not self._rebuilds},
             "colors",
             run=apply_colors,
             nbytes=12 * area,
             work=float(pixels),
         )
-        if processor.sharpening:
-            chain.add(
-                "processor.sharpen",
-                self._sharpening,
-                "colors",
-                "kernel",
-                run=sharpen_picture,
-                words=f"luminance by the camera's own blur, strength {processor.sharpening:g}",
-                nbytes=16 * area,
-                work=float(pixels),
-            )
+        self._finish(chain, area)
         steps += chain.end()
         chain = Chain("linear", "codes", Rate.FRAME, device)
         chain.add(
@@ -178,6 +188,74 @@ class Developer:
             work=float(pixels),
         )
         return [*steps, *chain.end()]
+
+    @property
+    def _rebuilds(self) -> bool:
+        """Whether highlights are rebuilt: where planes are several of the camera's own channels."""
+        planes = planes_of(self.camera)
+        return self.camera.processor.rebuilds_highlights and planes != XYZ and len(planes) > 1
+
+    def _prepare(self, chain: Chain, area: int) -> None:
+        """Add the corrections of camera values before the colour transform."""
+        planes = len(planes_of(self.camera))
+        if self._rebuilds:
+            chain.add(
+                "processor.highlights",
+                {},
+                "clipping",
+                run=rebuild_highlights,
+                words="clipped channels rebuilt by the colour around them",
+                nbytes=4 * planes * area,
+                work=float(area),
+            )
+        if self.camera.processor.corrects_lens:
+            correction = self._cache("lens correction", find_correction, self.camera, self.binning)
+            if correction.is_needed:
+                chain.add(
+                    "processor.rectify",
+                    {"correction": correction},
+                    run=correct_lens,
+                    words=correction.words,
+                    nbytes=4 * planes * area,
+                    work=float(planes * area),
+                )
+
+    def _finish(self, chain: Chain, area: int) -> None:
+        """Add what is done to linear display RGB."""
+        processor, to_xyz = self.camera.processor, self.camera.display.xyz_from_rgb
+        if processor.sharpening:
+            chain.add(
+                "processor.sharpen",
+                self._sharpening,
+                "colors",
+                "kernel",
+                run=sharpen_picture,
+                words=f"luminance by the camera's own blur, strength {processor.sharpening:g}",
+                nbytes=16 * area,
+                work=float(area),
+            )
+        if processor.local_toning:
+            chain.add(
+                "processor.local_tone",
+                {
+                    "strength": processor.local_toning,
+                    "luminance": to_xyz[1],
+                    "dark_noise": self._sharpening["noise"][1],
+                },
+                "colors",
+                run=lift_shadows,
+                words=f"dark regions lifted, strength {processor.local_toning:g}",
+                nbytes=12 * area,
+                work=float(area),
+            )
+        if processor.maps_gamut:
+            chain.add(
+                "processor.gamut",
+                {"lms_from_rgb": lms_matrix(to_xyz)},
+                words="colours outside moved to the neutral of their lightness",
+                nbytes=12 * area,
+                work=float(area),
+            )
 
     def codes_at_once(self) -> Step:
         """Return the step from "raw" to "codes" of a camera that `is_developed_at_once`."""
@@ -257,7 +335,7 @@ class Developer:
                 nbytes=6 * pixels,
             )
             numbers = replace(numbers.on_corrected_scale(), noise=(0.0, 0.0))
-        if processor.shading:
+        if processor.corrects_shading:
             add(
                 "processor.shade",
                 shade,
@@ -446,7 +524,7 @@ class Developer:
         """
         processor = replace(self.camera.processor, shading=shading is not None)
         own = replace(self.camera, processor=processor)
-        developer = Developer(own, self.device, self.averaged, self._cache)
+        developer = Developer(own, self.device, self.averaged, self._cache, self.binning)
         values = Values.of(developer.steps(tuple(raw.shape)))
         values.give(raw=raw, neutral=white, defects=known, shading=shading, blur=blur)
         return values["camera"]
@@ -455,18 +533,17 @@ class Developer:
         """Return linear display RGB (3, rows, cols), before the tone curve."""
         return apply_colors(planes, colors_of(rendering), device=self.device)
 
-    def sharpen(self, linear_rgb, rendering: Rendering, kernel: np.ndarray | None) -> Any:
-        """Return linear display RGB sharpened as the camera does; the same without sharpening.
+    def finish(self, planes, rendering: Rendering, kernel: np.ndarray | None) -> Any:
+        """Return linear display RGB (3, rows, cols) of camera values, with everything of the camera's look.
 
         Args:
-            linear_rgb: Linear display RGB, (3, rows, cols).
-            rendering: Conversion that made it from camera values.
+            planes: Camera values of each pixel, (C, rows, cols).
+            rendering: Conversion to display RGB.
             kernel: The camera's own blur, see `processor.sharpen`; None: nothing is blurred.
         """
-        if not self.camera.processor.sharpening:
-            return linear_rgb
-        colors, constants = colors_of(rendering), self._sharpening
-        return sharpen_picture(linear_rgb, colors, kernel, **constants, device=self.device)
+        values = Values.of(self.steps((2, 2)))
+        values.give(camera=planes, kernel=kernel, **{rendering_name(self.camera): rendering})
+        return values["linear"]
 
     @property
     def _sharpening(self) -> dict:
@@ -564,10 +641,37 @@ def rendering_name(camera: Camera) -> str:
     return "picture rendering" if camera.processor.estimates_white else "rendering"
 
 
-def apply_colors(planes, colors, *, device) -> Any:
-    """Return linear display RGB (3, rows, cols) of camera values, before the tone curve."""
+def clipping_of(rendering: Rendering) -> tuple:
+    """Return the camera values of white and of saturation."""
+    return rendering.neutral, rendering.saturation
+
+
+def rebuild_highlights(planes, clipping, *, device) -> Any:
+    """Return camera values (C, rows, cols) with clipped channels rebuilt."""
+    neutral, saturation = clipping
+    neutral = np.maximum(neutral, neutral.max() / MOST_BALANCE)  # of a channel blind to the light
+    return highlights(planes, neutral, saturation=saturation, device=device)
+
+
+def correct_lens(planes, *, correction, device) -> Any:
+    """Return camera values (C, rows, cols) without the lens's distortion and lateral colour."""
+    return rectify(planes, _nodes_on(device, correction, tuple(planes.shape[1:])), device=device)
+
+
+@functools.lru_cache(maxsize=4)  # constants of a camera: up to 2 MB at 1080p
+def _nodes_on(device, correction: LensCorrection, shape):
+    return device.array(correction.nodes(shape))
+
+
+def apply_colors(planes, colors, *, device, is_clipped=True) -> Any:
+    """Return linear display RGB (3, rows, cols) of camera values, before the tone curve.
+
+    is_clipped: whether channels are clipped where white clips; else highlights are rebuilt.
+    """
     matrix, ceiling = colors
-    return color(planes, device.array(matrix), ceiling=ceiling, device=device)
+    return color(
+        planes, device.array(matrix), ceiling=ceiling if is_clipped else None, device=device
+    )
 
 
 def sharpen_picture(linear_rgb, colors, kernel, *, strength, luminance, noise, device) -> Any:
@@ -584,6 +688,14 @@ def sharpen_picture(linear_rgb, colors, kernel, *, strength, luminance, noise, d
     variances = np.array([noise[0] * weights**2 @ grey, noise[1] ** 2 * weights @ weights])
     halved = SHARPENED**2 * detail_gain(kernel) * variances
     return sharpen(linear_rgb, kernel, luminance, halved, strength=strength, device=device)
+
+
+def lift_shadows(linear_rgb, colors, *, strength, luminance, dark_noise, device) -> Any:
+    """Return linear display RGB with dark regions lifted, but not noise. dark_noise: of camera values."""
+    matrix, ceiling = colors
+    weights = luminance @ linearise(np.asarray(matrix, np.float64), ceiling)
+    noise = dark_noise * float(np.linalg.norm(weights))
+    return local_tone(linear_rgb, luminance, strength=strength, noise=noise, device=device)
 
 
 def develop_at_once(raw, colors, edges, *, device, **constants) -> Any:

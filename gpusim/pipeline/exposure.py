@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gpusim.backends import Device
+from gpusim.color.lens_correction import find_correction
 from gpusim.color.rendering import Rendering, choose_colors, render_exposure
 from gpusim.color.speed import iso_speed
 from gpusim.domain.camera import Camera
@@ -121,7 +122,8 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
 def picture_steps(simulator: "Simulator", camera: Camera) -> list[Step]:
     """Return the steps from digital numbers "raw" to pictures. camera: as operated."""
     readout, device = simulator.readout, simulator.device
-    developer = Developer(camera, device, readout.averaged, simulator.cache)
+    binning = readout.sensor.binning
+    developer = Developer(camera, device, readout.averaged, simulator.cache, binning)
     layers = len(camera.sensor.channels) if camera.sensor.stacked else 1
     steps = developer.steps((layers, 1))
     constants = {"matrix": camera.display.xyz_from_rgb, "device": device}
@@ -222,7 +224,8 @@ class Exposure:
     @cached_property
     def labels(self) -> dict[str, np.ndarray]:
         """Labels and depth of the scene at the pixels, see `gpusim.carry_labels`."""
-        return carry_labels(self.plan.scene, self.plan.camera)
+        seen_by = replace(self.plan.camera, processor=self.camera.processor)
+        return carry_labels(self.plan.scene, seen_by)
 
     def split_layers(self, raw: Any) -> Any:
         """Return raw values with the layers of stacked pixels on an axis.
@@ -603,6 +606,10 @@ class _Shot(Parts):
             white = ", saturation is display white" if processor.scaling == "normalised" else ""
             notes.append(
                 f"the scene's light is unknown: colours are rendered for {processor.target}{white}"
+            )
+        if processor.lens_corrections and not find_correction(self.exposure.camera).is_needed:
+            notes.append(
+                "lens corrections: the lens has neither distortion nor lateral colour, nothing is to correct"
             )
         light = plan.scene.illuminant
         if plan.scene.light_is_known and not light.quantity and light.values.max() < DARKEST:

@@ -583,7 +583,7 @@ class _Steps:
     def shading(self) -> list[Step]:
         """Return the step that makes the gains of the shading correction, for each pixel of the mosaic's period."""
         plan, sensor, imaging = self.plan, self.sensor, self.imaging
-        if not imaging.camera.processor.shading:
+        if not imaging.camera.processor.corrects_shading:
             return [Step("shading", "", run=return_none)]
         stride, out = bin_mosaic(sensor.cfa_indices, sensor.binning)
         return [

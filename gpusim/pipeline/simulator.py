@@ -148,7 +148,8 @@ class Simulator:
         readout, shape = self.readout, plan.scene.shape
         layers = len(self.camera.sensor.channels) if self.camera.sensor.stacked else 1
         camera = replace(self.camera, sensor=readout.output)
-        developer = Developer(camera, self.device, readout.averaged, self.cache)
+        binning = self.camera.sensor.binning
+        developer = Developer(camera, self.device, readout.averaged, self.cache, binning)
         raw_shape = layers * shape[0], shape[1]
         if self.camera.sensor.binning != (1, 1):
             raw_shape = binned_shape(raw_shape, self.camera.sensor.binning, readout.stride)

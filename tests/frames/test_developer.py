@@ -54,6 +54,7 @@ SETTINGS = {
     "sharp roots": {"color": "root-polynomial", "sharpen": 1.0},
     "cube roots": {"color": "root-polynomial-3", "white_balance": "max-rgb"},
     "tone": {"tone": TONE},
+    "finished": {"highlights": "rebuild", "local_tone": 1.0, "gamut": "map"},
 }
 
 

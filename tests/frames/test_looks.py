@@ -1,5 +1,7 @@
 """The looks of a processor: what they choose, what stays, and what they do to a picture."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -7,10 +9,14 @@ import gpusim as gs
 from gpusim.domain.processor import LOOKS, Processor
 from gpusim.measure import mtf50, sfr
 
+FINISHED = {"shading": True, "highlights": "rebuild", "lens_corrections": True, "gamut": "map"}
 CHOSEN = {
-    "linear": {"denoise": 0, "tone": [], "sharpen": 0},
-    "camera": {"denoise": 1.0, "tone": "sigmoid", "sharpen": 0.5},
-    "phone": {"denoise": 1.5, "tone": "reinhard", "sharpen": 1.0},
+    "linear": {
+        **{"denoise": 0, "tone": [], "sharpen": 0, "shading": False, "highlights": "clip"},
+        **{"lens_corrections": False, "local_tone": 0, "gamut": "clip"},
+    },
+    "camera": {"denoise": 1.0, "tone": "sigmoid", "sharpen": 0.5, "local_tone": 0, **FINISHED},
+    "phone": {"denoise": 1.5, "tone": "reinhard", "sharpen": 1.0, "local_tone": 0.5, **FINISHED},
 }  # of docs/cameras.md
 
 
@@ -39,18 +45,20 @@ def test_no_look_is_linear():
 
 
 @pytest.mark.parametrize(
-    ("own", "kept"),
+    "own",
     [
-        ({"tone": "none"}, {"tone": "none", "denoise": 1.5, "sharpen": 1.0}),
-        ({"tone": []}, {"tone": [], "denoise": 1.5, "sharpen": 1.0}),
-        ({"denoise": 0}, {"denoise": 0, "tone": "reinhard", "sharpen": 1.0}),
-        ({"sharpen": 0.0, "denoise": 2}, {"sharpen": 0.0, "denoise": 2, "tone": "reinhard"}),
-        ({"tone": "auto", "denoise": "auto", "sharpen": "auto"}, CHOSEN["phone"]),
+        {"tone": "none"},
+        {"tone": []},
+        {"denoise": 0},
+        {"sharpen": 0.0, "denoise": 2, "local_tone": 0.0},
+        {"shading": False, "highlights": "clip", "lens_corrections": False, "gamut": "clip"},
+        dict.fromkeys(CHOSEN["phone"], "auto"),
     ],
 )
-def test_what_a_file_sets_itself_stays(tmp_path, own, kept):
+def test_what_a_file_sets_itself_stays(tmp_path, own):
     path = tmp_path / "own.toml"
-    lines = "\n".join(f"{key} = {value!r}" for key, value in own.items())
+    kept = CHOSEN["phone"] | {key: value for key, value in own.items() if value != "auto"}
+    lines = "\n".join(f"{key} = {json.dumps(value)}" for key, value in own.items())
     path.write_text(f'base = "phone"\n[processor]\nlook = "phone"\n{lines}\n')
     found = take(gs.open_camera(path)).rgb
     np.testing.assert_array_equal(found, take(gs.open_camera("phone").with_(**kept)).rgb)

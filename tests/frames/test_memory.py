@@ -10,6 +10,7 @@ from devices import apart
 import gpusim as gs
 from gpusim.backends.opencl import OpenCLDevice
 from gpusim.backends.warp import WarpDevice
+from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import DoesNotFit, OutOfMemory
 from gpusim.domain.sensor import FLOAT_BITS
 
@@ -40,6 +41,10 @@ CAMERAS = {
         processor={"denoise": 1.0, "sharpen": 1.0, "shading": True, "defects": "detect"}
     ),
     "mosaic denoised": camera_with(processor={"denoise": 1.0, "denoise_by": "mosaic"}),
+    "finished": replace(
+        camera_with(processor={"look": "phone"}),
+        optics=replace(PHONE.optics, distortion=RadialPolynomial(0.0, -0.05, 3e-4)),
+    ),
     "no converter": camera_with(sensor={"bits": FLOAT_BITS}),
     "noise of every kind": camera_with(
         noise={

@@ -40,7 +40,7 @@ defects = "known"
 SENSITIVITY = (
     "{wavelengths_nm = [400, 550, 700], R = [0, 0.5, 0.7], G = [0.1, 1, 0], B = [0.8, 0.2, 0]}"
 )
-VALUES = {  # of every key, and of others that it needs
+VALUES = {  # of every key, and of others that it needs, also in another section
     "optics": {
         "f_number": "2.4",
         "focal_length_mm": "5.0",
@@ -136,6 +136,10 @@ VALUES = {  # of every key, and of others that it needs
         "tone": "[[0, 0], [0.5, 0.7], [1, 1]]",
         "sharpen": "0.7",
         "look": '"phone"',
+        "highlights": '"rebuild"\n[sensor]\nexposure_time_ms = 80',
+        "lens_corrections": "true\n[optics]\ndistortion = {k1 = 0.0, k2 = -0.02, radius_mm = 0.06}",
+        "local_tone": "0.5",
+        "gamut": '"map"',
     },
     "display": {
         "name": '"lcd-apple"',
@@ -187,7 +191,9 @@ def camera_of(folder, section=None, key=None):
     """The base, and a key's own value in place of what it says."""
     tables = tomllib.loads(BASE)
     if section:
-        tables.setdefault(section, {}).update(tomllib.loads(f"{key} = {VALUES[section][key]}"))
+        changed = tomllib.loads(f"[{section}]\n{key} = {VALUES[section][key]}")
+        for name, fields in changed.items():
+            tables.setdefault(name, {}).update(fields)
     path = folder / f"{section}-{key}.toml"
     lines = ['base = "phone"']
     for name, values in tables.items():

@@ -107,6 +107,10 @@ VALUES = {
         "tone": [[0, 0], [1, 1]],
         "sharpen": 0.5,
         "look": "camera",
+        "highlights": "rebuild",
+        "lens_corrections": True,
+        "local_tone": 0.5,
+        "gamut": "map",
         "white": ([2, 1, 1.5], {"white_balance": "preset"}),
     },
     "display": {
