@@ -9,6 +9,8 @@ import dataclasses
 import os
 import runpy
 import shlex
+import shutil
+import subprocess
 import tempfile
 from pathlib import Path
 
@@ -76,10 +78,18 @@ def gallery(folder):
         manifest.unlink()
 
 
-def looks(photo):
-    """Write the looks of the camera phone in good light and at 1 lux, 1 / pi cd/m2; the last by the network.
+# raw developers that render the same DNG, with their defaults. RawTherapee's default corrects lateral colour by what it
+# finds in the picture, which puts fringes on this small one: that is off
+PEERS = {
+    "rawtherapee-cli": "rawtherapee-cli -o {out}.png -n -Y -d -p {profile} -c {raw}",
+    "dcraw_emu": "dcraw_emu -w -T -Z {out}.tif {raw}",
+}
 
-    photo: its path.
+
+def looks(photo):
+    """Write the looks of the camera phone in good light and at 1 lux, 1 / pi cd/m2, beside raw developers.
+
+    The last look is by the network. Developers that are not installed are left out. photo: its path.
     """
     rows = []
     for luminance, controls in ((300, {}), (1 / np.pi, {"exposure": 1 / 15, "iso": 1600})):
@@ -87,9 +97,31 @@ def looks(photo):
         shown = [{"look": look} for look in LOOKS]
         shown.append({"look": "phone", "demosaic": "network"})
         cameras = (gs.open_camera("phone").with_(**settings) for settings in shown)
-        frames = (gs.Simulator(operate_camera(one, **controls))(scene) for one in cameras)
-        rows.append(np.concatenate([frame.rgb[:200, 100:320] for frame in frames], 1))
+        frames = [gs.Simulator(operate_camera(one, **controls))(scene) for one in cameras]
+        with tempfile.TemporaryDirectory() as folder:
+            pictures = [frame.rgb for frame in frames] + develop_raw(frames[0], Path(folder))
+        rows.append(np.concatenate([one[:200, 100:320] for one in pictures], 1))
     write_jpeg(HERE / "looks.jpg", np.concatenate(rows), quality=85)
+
+
+def develop_raw(frame, folder):
+    """Return what the installed PEERS make of a frame's DNG, codes of the frame's size."""
+    frame.save(folder / "frame.dng")
+    (folder / "own.pp3").write_text("[RAW]\nCA=false\n")
+    pictures = []
+    for name, command in PEERS.items():
+        if shutil.which(name) is None:
+            print(f"{name} is not installed: its picture is left out")
+            continue
+        names = {"raw": folder / "frame.dng", "profile": folder / "own.pp3", "out": folder / name}
+        words = shlex.split(command.format(**names))
+        subprocess.run(words, check=True, capture_output=True)
+        (found,) = folder.glob(f"{name}.*")
+        codes = np.array(Image.open(found).convert("RGB"))
+        # RawTherapee leaves out a border of equal width on all sides
+        border = [(a - b) // 2 for a, b in zip(frame.rgb.shape, codes.shape, strict=True)]
+        pictures.append(np.pad(codes, [(n, n) for n in border], mode="edge"))
+    return pictures
 
 
 def balls():
