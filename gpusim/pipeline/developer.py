@@ -209,7 +209,10 @@ class Developer:
                 work=float(area),
             )
         if self.camera.processor.corrects_lens:
-            correction = self._cache("lens correction", find_correction, self.camera, self.binning)
+            # not its gain, which changes with every exposure
+            sensor = replace(self.camera.sensor, analog_gain=1.0)
+            still = replace(self.camera, sensor=sensor)
+            correction = self._cache("lens correction", find_correction, still, self.binning)
             if correction.is_needed:
                 chain.add(
                     "processor.rectify",
@@ -252,7 +255,7 @@ class Developer:
             chain.add(
                 "processor.gamut",
                 {"lms_from_rgb": lms_matrix(to_xyz)},
-                words="colours outside moved to the neutral of their lightness",
+                words="colours outside moved to a neutral, hue kept",
                 nbytes=12 * area,
                 work=float(area),
             )

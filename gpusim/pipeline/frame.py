@@ -62,12 +62,12 @@ class Frame(Pictured):
         rendering: Conversion to colours; its white is estimated from the picture if the camera does that.
         mean: Mean electrons without noise, float32 (rows, cols) or, for stacked pixels, (C, rows, cols) [e-].
         raw: Digital numbers of the same shape, uint16, or float32 without a converter [DN].
-        linear: Linear display RGB before clipping and tone curve, sharpened if the processor does that, float32
-            (rows, cols, 3), stored plane by plane.
+        linear: Linear display RGB before the tone curve, with all that the processor does before it, float32 (rows,
+            cols, 3), stored plane by plane.
             Display white is 1, see `Processor.scaling`.
         rgb: Display codes, uint8 (rows, cols, 3).
         report: Times, models and errors of the frame.
-        labels: Labels and depth of the scene at the pixels, see `gpusim.carry_labels`; {} without any.
+        labels: Labels and depth of the scene at the pixels of the picture, see `gpusim.carry_labels`; {} without any.
         blur: Standard deviation of the lens blur as a Gaussian, if the camera uses it [pixel].
         shading: Gains of the shading correction at its nodes, if the camera uses them.
         averaged: Number of digital numbers that are averaged to one raw value; None for several merged exposures,
