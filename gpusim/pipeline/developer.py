@@ -471,7 +471,7 @@ class Developer:
                 "noise": (gain * numbers.scale, dark * numbers.scale),
                 "strength": processor.denoising,
             },
-            *(("neutral", "shading") if processor.shading else ("neutral",)),
+            *(("neutral", "shading") if processor.corrects_shading else ("neutral",)),
             run=denoise_planes,
             words=f"denoised at {LEVELS} scales, strength {processor.denoising:g}",
             nbytes=4 * channels * rows * cols
