@@ -28,8 +28,9 @@ def carry_labels(scene: Scene, camera: Camera) -> dict[str, np.ndarray]:
 
     A pixel has the labels of the scene point that its middle looks at. Binned pixels have theirs at
     the middle of their parts. If the processor corrects the lens, they are those of its picture: raw
-    values are still where the lens puts them. Outside the scene labels follow its border; for border "zero" they
-    are 0, and the depth is infinite.
+    values are still where the lens puts them, and so are labels of a `gpusim.view_panorama`.
+    Outside the scene labels follow its border; for border "zero" they are 0, and the depth is
+    infinite.
 
     Args:
         scene: The scene.
@@ -84,12 +85,13 @@ class _Placing:
     def of(cls, scene: Scene, camera: Camera) -> "_Placing":
         optics, sensor = camera.optics, camera.sensor
         distortion: Model | None = None
-        if optics.distortion is not None and scene.projection != IMAGE:  # else displaced already
-            distortion = fit_to_frame(optics.distortion, scene.shape, sensor.pixel_pitch)
-        if camera.processor.corrects_lens:
+        if scene.projection == IMAGE:  # displaced already
+            distortion = None
+        elif camera.processor.corrects_lens:  # the picture of a pinhole, magnified
             zoom = magnification(optics, scene.shape, sensor.pixel_pitch)
-            # a corrected picture is that of a pinhole, magnified
             distortion = RadialPolynomial(0.0, 0.0, sensor.pixel_pitch, 1 / zoom)
+        elif optics.distortion is not None:
+            distortion = fit_to_frame(optics.distortion, scene.shape, sensor.pixel_pitch)
         stride, _ = bin_mosaic(sensor.cfa_indices, sensor.binning)
         pixels = [
             _middles(n, parts, step)
