@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from gpusim.backends import Device
 from gpusim.kernels.processor.levels import MOST_BALANCE
 from gpusim.kernels.processor.multiscale import multiscale, opponent_axes
 
@@ -127,7 +128,8 @@ def _measure(demosaic, arguments, assumed):
     random, scale = np.random.default_rng(40), 1 / (4 * STEP * ELECTRONS)
     raw = (BLACK + STEP * random.poisson(ELECTRONS, (SIZE, SIZE))).astype(np.uint16)
     told = {"noise": (assumed * STEP, 0.0)} if assumed else {}
-    numbers = {"black_level": float(BLACK), "scale": scale, "device": "numpy"}
+    own = Device()  # NumPy's; a frame's clock does not run on it
+    numbers = {"black_level": float(BLACK), "scale": scale, "device": own}
     planes = np.asarray(demosaic(raw, **arguments.values, **told, **numbers), np.float64)
     half = 2 * np.sqrt(np.maximum(planes / (STEP * scale) + 0.375, 0))  # roots of variance 1
     share, levels = half.var((1, 2)), []
