@@ -54,6 +54,7 @@ LIGHTS = (
     "LED-B3",
 )
 REACH = 2.0  # radius around a white in which transforms are mixed, over the second-nearest distance
+FINE, STEP = 1.0, 10.0  # [nm] of wavelengths beyond a set of surfaces: compared, and added to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +153,7 @@ def color_matrix(
         raise UnknownName("color matrix method", method, METHODS)
     if not snr > 0:
         raise OutOfRange("snr", snr, "snr > 0")
-    nodes, surfaces = _surfaces(reflectances)
+    nodes, surfaces = _surfaces(reflectances, qe)
     eye = product_weights(nodes, cmf(), energy_from_photons(_photons(target_light)))
     seen = _training(nodes, surfaces, qe, _photons(light), eye)
     adapt = adaptation(seen.xyz_white, display.xyz_from_rgb.sum(1))
@@ -203,7 +204,7 @@ def camera_matrix(qe: Spectrum, light: Spectrum | str, reflectances: Spectrum | 
         BadData: See `color_matrix`.
         UnknownName: See `color_matrix`.
     """
-    nodes, surfaces = _surfaces(reflectances)
+    nodes, surfaces = _surfaces(reflectances, qe)
     photons = _photons(light)
     seen = _training(
         nodes, surfaces, qe, photons, product_weights(nodes, cmf(), energy_from_photons(photons))
@@ -221,10 +222,42 @@ def _name(light):
     return light if isinstance(light, str) else light.name or "a light"
 
 
-def _surfaces(reflectances):
-    """Return wavelengths [nm] and values (N, L) of training surfaces."""
+def sees_beyond(qe: Spectrum, end: float) -> np.ndarray:
+    """Return the channels that see more beyond a wavelength than before, such as near-infrared pixels.
+
+    Args:
+        qe: See `color_matrix`.
+        end: The wavelength [nm].
+
+    Returns:
+        True or False for each channel, shape (C,).
+    """
+    rows = np.atleast_2d(qe.values)
+    if not (rows[:, qe.wavelengths > end] > 0).any():
+        return np.zeros(len(rows), bool)
+    at = np.arange(qe.wavelengths[0], _end_of_response(qe) + FINE, FINE)
+    seen = np.atleast_2d(qe.at(at))
+    return seen[:, at > end].sum(axis=1) > seen[:, at <= end].sum(axis=1)
+
+
+def _end_of_response(qe):
+    """Return the wavelength [nm] at which the last channel has fallen to 0, or the table's end."""
+    positive = np.flatnonzero((np.atleast_2d(qe.values) > 0).any(axis=0))
+    return qe.wavelengths[min(positive[-1] + 1, len(qe.wavelengths) - 1)]
+
+
+def _surfaces(reflectances, qe):
+    """Return wavelengths [nm] and values (N, L) of training surfaces.
+
+    Measured sets end at 700 nm. For a camera that `sees_beyond` that they keep their last value there.
+    """
     chosen = measured(reflectances) if isinstance(reflectances, str) else reflectances
-    return chosen.wavelengths, np.atleast_2d(chosen.values)
+    nodes, values = chosen.wavelengths, np.atleast_2d(chosen.values)
+    if not sees_beyond(qe, nodes[-1]).any():
+        return nodes, values
+    more = np.arange(nodes[-1] + STEP, _end_of_response(qe) + STEP, STEP)
+    held = np.repeat(values[:, -1:], len(more), axis=1)
+    return np.append(nodes, more), np.hstack([values, held])
 
 
 def _training(nodes, surfaces, qe, light, eye):
@@ -473,7 +506,7 @@ def transform_set(
     transforms = tuple(
         color_matrix(qe, light, reflectances, **named, **options) for light in lights
     )
-    nodes, surfaces = _surfaces(reflectances)
+    nodes, surfaces = _surfaces(reflectances, qe)
     weights = [
         np.atleast_2d(product_weights(nodes, qe, _photons(light)))
         for light in (*lights, options.get("target_light", "D65"))

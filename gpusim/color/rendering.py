@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gpusim.color.balance import estimate_white
-from gpusim.color.color import TransformSet, color_matrix, transform_set
+from gpusim.color.color import TransformSet, color_matrix, sees_beyond, transform_set
 from gpusim.color.root_polynomial import linearise
 from gpusim.data.colorimetry import adaptation, xyz
 from gpusim.data.lights import illuminant
@@ -15,6 +15,8 @@ from gpusim.domain.learned import XYZ
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
+
+VISIBLE_END = 700.0  # [nm], where measured surfaces end
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +207,10 @@ def _match_colors(white_rate, light, camera, cache):
             channels=letters,
         )
         matrix, neutral = found.matrix, found.white
+        if known and rates is not None:
+            matrix, neutral = _fit_beyond_visible(
+                matrix, neutral, rates, efficiency(camera, letters)
+            )
         model = f"3x{matrix.shape[1]} matrix, {processor.color} on {processor.training!r}"
     else:
         neutral = np.ones(len(letters))
@@ -218,6 +224,20 @@ def _match_colors(white_rate, light, camera, cache):
             else f", as if the light were {processor.target}"
         )
     return Colors(matrix, neutral, model)
+
+
+def _fit_beyond_visible(matrix, neutral, rates, qe):
+    """Return a colour matrix and its white for what near-infrared channels see of white in this scene.
+
+    Scenes end at other wavelengths than lights and measured surfaces do.
+    """
+    infrared = sees_beyond(qe, VISIBLE_END)
+    if not infrared.any() or infrared.all() or matrix.shape[1] != len(neutral):
+        return matrix, neutral
+    strongest = np.argmax(np.where(infrared, 0, neutral))
+    seen = rates * neutral[strongest] / rates[strongest]
+    white = np.where(infrared & (seen > 0), seen, neutral)
+    return matrix * (neutral / white) * white.max(), white / white.max()
 
 
 def planes_of(camera: Camera) -> tuple[str, ...]:
