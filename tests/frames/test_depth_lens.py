@@ -201,7 +201,7 @@ def test_a_slope_through_a_lens_that_varies(axis):
 
 def test_flat_fields_at_a_distance_are_the_sum_of_their_points():
     """A lens that displaces points shades flat fields, at a distance as in focus; coverage has no part in that."""
-    shape, period = (20, 24), 64
+    shape, period = (20, 24), 48
     cam = camera(wavefront=Wavefront(seidel=(0.0, 0.3, 0.0, 0.0, 0.3)))
     depth = np.full(shape, LENS.object_distance)
     found, plan = mean_of(replace(scene_of(np.ones(shape), depth), border="edge"), cam)

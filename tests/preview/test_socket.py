@@ -15,6 +15,8 @@ from browsers import serving
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from gpusim.apps.preview.sessions import MOST_STREAMS, MOST_UNSEEN
+
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory):
@@ -156,13 +158,14 @@ def test_pages_of_others_open_nothing(address):
 
 
 def test_requests_without_a_stream_change_no_stream(address):
-    """Forty pages without a browser, more than there may be streams: the stream that is open can open again."""
+    """Pages without a browser, more than are kept: the stream that is open can open again."""
     with urlopen(address, timeout=30) as page:
         token = re.search(r"/picture/([\w-]+)", page.read().decode())[1]
     url = f"{address.replace('http', 'ws')}/picture/{token}"
+    assert MOST_UNSEEN > MOST_STREAMS
     with connect(url, origin=address, max_size=2**24) as client:
         received(client, 3)
-        for _ in range(40):
+        for _ in range(MOST_UNSEEN + 4):
             urlopen(address, timeout=30).close()
         received(client, 3)
     with connect(url, origin=address, max_size=2**24) as client:
