@@ -7,7 +7,8 @@ Every sub-folder of DIR with PNG pictures is a set. RGGB, 8 bits, interpolated i
 For `best` there are also separate means over the first, third .. picture of each set, on which its
 constants were chosen, and over the others. Further tables: a lens that blurs (Gaussian on linear
 light, CPSNR after sRGB encoding), and Poisson noise with 2 e- read noise at a mean of 5 .. 1000
-electrons; and X-Trans and quad-Bayer mosaics, by weighted means and by the built-in filters.
+electrons; and mosaics that have built-in filters, by weighted means and by these. Channels other than
+red, green and blue are sums of these in linear light, as the built-in phone sees them.
 """
 
 import sys
@@ -17,9 +18,10 @@ from pathlib import Path
 import numpy as np
 from results import Tables, finish, parser, ready, start
 
-from gpusim.apps.l3.photographs import sample_mosaic
+from gpusim.apps.l3.channels import channel_mix
+from gpusim.apps.l3.photographs import decode_srgb, encode_srgb, sample_mosaic
 from gpusim.domain.errors import BadFile
-from gpusim.domain.guided import BUILT_IN
+from gpusim.domain.guided import BUILT_IN, channels_of
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.io.camera.guided import guided_table
 from gpusim.kernels.processor.guided import guided
@@ -89,11 +91,14 @@ def _of_mosaic(image, name, device):
     from test_demosaic import cpsnr
 
     options = {"black_level": 0.0, "scale": 1 / 255, "device": device}
-    raw = sample_mosaic(np.moveaxis(image, 2, 0), MOSAICS[name]).astype(np.uint16)
-    cfa = np.array([["RGB".index(letter) for letter in text] for text in MOSAICS[name]])
-    filters = {"phase": MOSAICS[name], "domain": "linear", "table": guided_table(name)}
+    mosaic, letters = MOSAICS[name], channels_of(MOSAICS[name])
+    light = np.tensordot(decode_srgb(image / 255), channel_mix(mosaic)[0], (2, 1))
+    wanted = np.rint(255 * encode_srgb(light))
+    raw = sample_mosaic(np.moveaxis(wanted, 2, 0), mosaic, letters).astype(np.uint16)
+    cfa = np.array([[letters.index(letter) for letter in text] for text in mosaic])
+    filters = {"phase": mosaic, "domain": "linear", "table": guided_table(name)}
     planes = interpolate(raw, cfa=cfa, **options), guided(raw, **filters, **options)
-    return [cpsnr(255 * np.moveaxis(picture, 0, 2), image) for picture in planes]
+    return [cpsnr(255 * np.moveaxis(picture, 0, 2), wanted) for picture in planes]
 
 
 def seen(tables, device, sets):

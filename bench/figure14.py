@@ -186,7 +186,7 @@ def main():
         table = train(camera(name, cfa), device=device)
         for label, settings in (
             ("learned", {"demosaic": "learned", "table": table}),
-            ("interpolation, matrix", {}),
+            ("interpolation, matrix", {"demosaic": "bilinear"}),
         ):
             used = camera(name, cfa, **settings)
             simulator = Simulator(used, device=device)

@@ -5,9 +5,10 @@ from typing import Any
 
 from gpusim.domain.display import Display
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.guided import BUILT_IN, COLORS, built_in_name
+from gpusim.domain.guided import BUILT_IN, built_in_name
 from gpusim.domain.labels import Tabled
-from gpusim.domain.network import check_served
+from gpusim.domain.mosaics import bayer_roles
+from gpusim.domain.network import check_served, is_served
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import ROOT_POLYNOMIALS, Processor
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
@@ -115,19 +116,22 @@ class Camera(Tabled):
     def demosaic_method(self) -> str:
         """The processor's demosaicking method, with "auto" replaced by what suits the mosaic.
 
-        That is "learned" for mosaics other than Bayer's that have built-in filters, else
-        "bilinear".
+        That is "best" for mosaics like Bayer's with other channels (see `bayer_roles`), "learned"
+        for others that have built-in filters, else "bilinear".
         """
-        name = self.processor.demosaic
+        name, sensor = self.processor.demosaic, self.sensor
         if name != "auto":
             return name
-        return "learned" if self.built_in_filters and not self.sensor.stacked else "bilinear"
+        if sensor.stacked or sensor.bayer_phase:
+            return "bilinear"
+        if bayer_roles(sensor.cfa):
+            return "best"
+        return "learned" if self.built_in_filters else "bilinear"
 
     @property
     def built_in_filters(self) -> str | None:
         """Name of the mosaic whose built-in filters serve the sensor, None for Bayer and others."""
-        sensor = self.sensor
-        return built_in_name(sensor.cfa) if sensor.channels == COLORS else None
+        return built_in_name(self.sensor.cfa)
 
     @property
     def is_developed_at_once(self) -> bool:
@@ -167,6 +171,8 @@ class Camera(Tabled):
     @property
     def _demosaics(self):
         """The methods for a mosaic that is not Bayer's, without a table."""
+        if bayer_roles(self.sensor.cfa):
+            return ("bilinear", "malvar", "adaptive", "best")
         return ("bilinear", "learned") if self.built_in_filters else ("bilinear",)
 
     def _check_mosaic(self):
@@ -185,11 +191,13 @@ class Camera(Tabled):
         elif processor.demosaic == "network":
             check_served(sensor.cfa)
         elif not sensor.bayer_phase and self.demosaic_method not in self._demosaics:
-            allowed = (
-                '"auto", "bilinear", "learned" with a table made by `gpusim train-l3`, or "network"'
-            )
+            names = [name for name in self._demosaics if name != "learned"]
+            allowed = ", ".join(f'"{name}"' for name in ("auto", *names))
+            allowed += ', "learned" with a table made by `gpusim train-l3`'
+            if is_served(sensor.cfa):
+                allowed += ', or "network"'
             if processor.demosaic == "learned":
-                allowed += f"; without a table Bayer, {' and '.join(BUILT_IN)} mosaics of R, G, B"
+                allowed += f"; without a table, Bayer and {', '.join(BUILT_IN)} mosaics"
             raise OutOfRange(
                 "processor.demosaic", f'"{processor.demosaic}" of the mosaic {mosaic}', allowed
             )

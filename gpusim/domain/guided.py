@@ -1,9 +1,10 @@
-"""Filters that are chosen on a first picture: a table that turns a mosaic of R, G, B into planes.
+"""Filters that are chosen on a first picture: a table that turns a mosaic into its channels' planes.
 
 Terms used here and in the modules that make and use tables:
 
 - Code: input of the filters (see `gpusim.domain.learned.Code`), a whole number of steps.
-- First picture: R, G and B at every pixel by one linear filter per position of the mosaic.
+- First picture: every channel at every pixel by one linear filter per position of the mosaic.
+- Guide: the channel with most pixels. Contrasts of light count it twice.
 - Class: direction and strength of the contrast of the first picture around a pixel.
 - Term: a code or a channel of the first picture near the pixel, input of the second filters.
 """
@@ -13,20 +14,28 @@ from functools import cached_property
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, UnknownName
+from gpusim.domain.errors import BadData, OutOfRange, UnknownName
 from gpusim.domain.learned import Code, find_shift
 from gpusim.domain.mosaics import MOSAICS, symmetries
 from gpusim.domain.short_repr import short_repr
 
-COLORS = ("R", "G", "B")
+ORDER = "RGBYCMEWN"  # of the channels of a table
+GUIDES = "WYGCMERBN"  # of channels with equally many pixels the first is the guide
+MOST_CHANNELS = 4
 FINEST_FIRST = 2048  # weights of the first picture are multiples of 1 / 2048
 FINEST = 8192  # those of the second filters
 LARGEST = 2**17 - 1  # of a code: 7 x 2048 times this stays below 2^31
-BUILT_IN = ("x-trans", "quad-bayer")  # mosaics with a table of their own
-RED_AND_BLUE: tuple[dict[str, str], ...] = (
-    {},
-    {"R": "B", "B": "R"},
-)  # channels that may play each other's part
+BUILT_IN = (
+    "x-trans",
+    "quad-bayer",
+    "rgbw",
+    "rgbw-kodak",
+    "rgbn",
+    "rgbn-4x4",
+    "rccc",
+    "cygm",
+    "rgbe",
+)  # mosaics with a table of their own
 
 
 def built_in_name(mosaic) -> str | None:
@@ -49,14 +58,69 @@ def diamond(radius: int) -> np.ndarray:
     return np.stack([dy, dx], axis=-1)[abs(dy) + abs(dx) <= radius].astype(np.int32)
 
 
+def channels_of(mosaic) -> tuple[str, ...]:
+    """Return the letters of a mosaic in the order of a table."""
+    return tuple(sorted(set("".join(mosaic)), key=ORDER.index))
+
+
+def guide_of(mosaic) -> str:
+    """Return the letter of the guide of a mosaic."""
+    letters = "".join(mosaic)
+    return max(set(letters), key=lambda letter: (letters.count(letter), -GUIDES.index(letter)))
+
+
+def exchanges_of(mosaic) -> tuple[dict[str, str], ...]:
+    """Return the channels that may play each other's part: red and blue beside green alone."""
+    return ({}, {"R": "B", "B": "R"}) if set("".join(mosaic)) == {*"RGB"} else ({},)
+
+
 def tap_colors(mosaic, taps) -> np.ndarray:
-    """Return whether a tap of a position has a colour, 0 or 1, shape (P, T, 3)."""
-    rows, cols = len(mosaic), len(mosaic[0])
-    out = np.zeros((rows * cols, len(taps), 3), int)
+    """Return whether a tap of a position has a channel, 0 or 1, shape (P, T, C)."""
+    rows, cols, channels = len(mosaic), len(mosaic[0]), channels_of(mosaic)
+    out = np.zeros((rows * cols, len(taps), len(channels)), int)
     for p in range(rows * cols):
         for at, (dy, dx) in enumerate(taps + divmod(p, cols)):
-            out[p, at, COLORS.index(mosaic[dy % rows][dx % cols])] = 1
+            out[p, at, channels.index(mosaic[dy % rows][dx % cols])] = 1
     return out
+
+
+@dataclass(frozen=True)
+class MosaicCode(Code):
+    """Code of a mosaic of any channels.
+
+    Args:
+        mosaic: One period of the colour filter array, a string per row.
+        balances: (letter, factor) of channels: factors on signals that make white as strong in
+            them as in the guide; the others have 1. For domain "root" only.
+
+    Raises:
+        OutOfRange: A factor other than 1 in domain "linear".
+    """
+
+    mosaic: tuple[str, ...] = ("RG", "GB")
+    balances: tuple[tuple[str, float], ...] = ()
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.domain == "linear" and set(self.signals.values()) != {1.0}:
+            raise OutOfRange(
+                "balance",
+                self.signals,
+                '1 for each channel in domain "linear": encoded data are balanced already',
+            )
+
+    @property
+    def signals(self) -> dict[str, float]:
+        """Factors on signals of the channels, by letter."""
+        return dict.fromkeys(channels_of(self.mosaic), 1.0) | dict(self.balances)
+
+    @property
+    def _factor_of_white(self):
+        return self.factors[guide_of(self.mosaic)]
+
+    @property
+    def _mean_signal(self):
+        return float(np.mean([self.signals[letter] for letter in "".join(self.mosaic)]))
 
 
 @dataclass(frozen=True)
@@ -69,7 +133,7 @@ class GuidedTable:
     (position, class).
 
     Args:
-        mosaic: One period of the colour filter array, a string per row, of R, G and B.
+        mosaic: One period of the colour filter array, a string per row, of 2 to 4 letters.
         radii: Taps are diamonds of these radii: of the first filters, of the codes and of the
             first picture in the second filters.
         box: Contrast is a sum over (2 box + 1)^2 pixels.
@@ -82,9 +146,9 @@ class GuidedTable:
             shape (N,).
         strengths: Bounds of the mean of the contrasts along rows and columns, relative to white,
             shape (N, S), increasing.
-        first: Weights of the first filters [1/2048], shape (N, P, 3, T), whole numbers.
-        second: Weights of the second filters [1/8192], shape (N, orbits, 3, terms), whole numbers.
-            Terms are the codes, then the first picture's R, G and B.
+        first: Weights of the first filters [1/2048], shape (N, P, C, T), whole numbers.
+        second: Weights of the second filters [1/8192], shape (N, orbits, C, terms), whole numbers.
+            Terms are the codes, then the channels of the first picture.
         provenance: Source of the table.
 
     Raises:
@@ -114,22 +178,26 @@ class GuidedTable:
             values = np.array(getattr(self, name), np.int32 if name in whole else np.float64)
             values.flags.writeable = False
             object.__setattr__(self, name, values)
-        if set("".join(self.mosaic)) != set(COLORS):
-            raise BadData(f"mosaic {self.mosaic}: wanted texts of R, G and B")
+        letters = set("".join(self.mosaic))
+        if not letters <= {*ORDER} or not 2 <= len(letters) <= MOST_CHANNELS:
+            raise BadData(
+                f"mosaic {self.mosaic}: wanted texts of 2 to {MOST_CHANNELS} of the letters {ORDER}"
+            )
         levels = len(self.noise)
         taps = [len(diamond(radius)) for radius in self.radii]
-        terms = taps[1] + 3 * taps[2]
+        count = len(self.channels)
+        terms = taps[1] + count * taps[2]
         wanted = {
             "floor": (levels,),
             "strengths": (levels, self.strengths.shape[-1]),
-            "first": (levels, self.positions, 3, taps[0]),
-            "second": (levels, self.orbits.count, 3, terms),
+            "first": (levels, self.positions, count, taps[0]),
+            "second": (levels, self.orbits.count, count, terms),
         }
         for name, shape in wanted.items():
             found = getattr(self, name).shape
             if found != shape:
                 raise BadData(f"{name}: shape {found}, wanted {shape}")
-        flat = np.equal.outer(range(3), range(3)).astype(int)
+        flat = np.eye(count, dtype=int)
         first = np.einsum("npot,ptc->npoc", self.first, self.colors(0))
         second = np.einsum("nrot,rtc->nroc", self.second, self.term_colors[self.orbits.positions])
         if (first != FINEST_FIRST * flat).any() or (second != FINEST * flat).any():
@@ -148,6 +216,21 @@ class GuidedTable:
     def positions(self) -> int:
         """Number P of pixels in a period, numbered row by row."""
         return self.period[0] * self.period[1]
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Letters of the mosaic in the order of the filters."""
+        return channels_of(self.mosaic)
+
+    @property
+    def guide(self) -> int:
+        """Index of the guide in `channels`."""
+        return self.channels.index(guide_of(self.mosaic))
+
+    @property
+    def lights(self) -> int:
+        """Sum of the weights of the channels in the light: the guide counts twice."""
+        return len(self.channels) + 1
 
     @property
     def kinds(self) -> tuple[int, int, int, int]:
@@ -177,8 +260,9 @@ class GuidedTable:
 
     @cached_property
     def term_colors(self) -> np.ndarray:
-        """The terms of a flat field of 1 in one channel, int, shape (P, terms, 3)."""
-        guides = np.repeat(np.eye(3, dtype=int), len(diamond(self.radii[2])), axis=0)
+        """The terms of a flat field of 1 in one channel, int, shape (P, terms, C)."""
+        each = np.eye(len(self.channels), dtype=int)
+        guides = np.repeat(each, len(diamond(self.radii[2])), axis=0)
         guides = np.broadcast_to(guides, (self.positions, *guides.shape))
         return np.concatenate([self.colors(1), guides], axis=1)
 
@@ -205,8 +289,8 @@ class GuidedTable:
             sigma: Standard deviation of the code relative to white.
 
         Returns:
-            First weights [1/2048], int32, shape (P, 3, T); second weights [1], float64, shape (P, K,
-            3, terms); floor; strengths, shape (S,).
+            First weights [1/2048], int32, shape (P, C, T); second weights [1], float64, shape (P, K,
+            C, terms); floor; strengths, shape (S,).
         """
         at = float(np.interp(sigma, self.noise, np.arange(len(self.noise))))
         lower, t = int(at), at % 1
@@ -230,14 +314,14 @@ def round_filters(weights, colors) -> np.ndarray:
     """Round weights to whole numbers; what a channel's sum loses goes to its largest weight.
 
     Args:
-        weights: Weights whose sums over each channel are whole numbers, shape (.., P, 3, T).
-        colors: Whether a tap has a colour, shape (P, T, 3).
+        weights: Weights whose sums over each channel are whole numbers, shape (.., P, C, T).
+        colors: Whether a tap has a channel, shape (P, T, C).
 
     Returns:
         Whole numbers, int32.
     """
     whole = np.rint(weights)
-    for c in range(3):
+    for c in range(colors.shape[-1]):
         mask = np.broadcast_to(colors[:, None, :, c], weights.shape)
         left = np.rint((weights * mask).sum(axis=-1)) - (whole * mask).sum(axis=-1)
         largest = np.argmax(np.abs(whole) * mask + mask, axis=-1)[..., None]
@@ -251,7 +335,7 @@ class Orbits:
 
     Attributes: count: their number. of: orbit of each position and class, shape (P K,). terms,
     channels: index of the orbit's term, or channel, in place of each one, shape (P K, terms) and (P
-    K, 3). positions: position of the orbit's filters, shape (count,).
+    K, C). positions: position of the orbit's filters, shape (count,).
     """
 
     def __init__(self, mosaic, kinds, radii):
@@ -260,10 +344,11 @@ class Orbits:
         cells = len(mosaic) * len(mosaic[0]) * self.classes
         least = np.full(cells, cells)
         codes, guides = map(diamond, radii)
-        self.terms = np.zeros((cells, len(codes) + 3 * len(guides)), np.int32)
-        self.channels = np.zeros((cells, 3), np.int32)
+        letters = channels_of(mosaic)
+        self.terms = np.zeros((cells, len(codes) + len(letters) * len(guides)), np.int32)
+        self.channels = np.zeros((cells, len(letters)), np.int32)
         steps = np.stack(np.unravel_index(np.arange(self.classes), kinds))
-        for places, transpose, signs, swap in symmetries(mosaic, RED_AND_BLUE):
+        for places, transpose, signs, swap in symmetries(mosaic, exchanges_of(mosaic)):
             turned = steps.copy()
             if transpose:
                 turned[0] = kinds[0] - 1 - turned[0]
@@ -274,7 +359,7 @@ class Orbits:
             ).ravel()
             better = target < least
             least[better] = target[better]
-            channels = np.array([COLORS.index(swap.get(c, c)) for c in COLORS])
+            channels = np.array([letters.index(swap.get(c, c)) for c in letters])
             moved = _move(guides, transpose, signs)
             guided = [len(codes) + c * len(guides) + moved for c in channels]
             self.terms[better] = np.concatenate([_move(codes, transpose, signs), *guided])
@@ -283,9 +368,9 @@ class Orbits:
         self.count, self.positions = len(found), found // self.classes
 
     def expand(self, filters) -> np.ndarray:
-        """Return the filters of all positions and classes, shape (P, K, 3, terms).
+        """Return the filters of all positions and classes, shape (P, K, C, terms).
 
-        filters: of the orbits, shape (count, 3, terms).
+        filters: of the orbits, shape (count, C, terms).
         """
         cells = np.arange(len(self.of))[:, None, None]
         own = filters[self.of]

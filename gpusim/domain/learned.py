@@ -84,34 +84,46 @@ class Code:
         return 0.375 * gain + read**2 / gain if self.domain == "root" and gain else 0.0
 
     @property
+    def signals(self) -> dict[str, float]:
+        """Factors on signals of the channels, by letter."""
+        return {"R": self.balance[0], "G": 1.0, "B": self.balance[1]}
+
+    @property
     def factors(self) -> dict[str, float]:
-        """Factors on codes of red, green and blue; the largest is 1: sums of codes stay exact."""
-        red, blue = np.sqrt(self.balance)
-        most = max(red, blue, 1.0)
-        return {
-            letter: float(np.float32(root / most))
-            for letter, root in (("R", red), ("G", 1.0), ("B", blue))
-        }
+        """Factors on codes of the channels; the largest is 1: sums of codes stay exact."""
+        roots = {letter: np.sqrt(factor) for letter, factor in self.signals.items()}
+        most = max(roots.values())
+        return {letter: float(np.float32(root / most)) for letter, root in roots.items()}
 
     @property
     def white(self) -> float:
-        """Code of white."""
-        return float(self.encode(1 / self.scale)) * self.factors["G"]
+        """Code of white in the channel whose signals have the factor 1."""
+        return float(self.encode(1 / self.scale)) * self._factor_of_white
+
+    @property
+    def _factor_of_white(self):
+        return self.factors["G"]
 
     @property
     def sigma(self) -> float:
         """Standard deviation of the code relative to white; for "linear" at a quarter of white.
 
-        If channels differ, it is the root mean square over the pixels of a Bayer mosaic.
+        If channels differ, it is the root mean square over the pixels of the mosaic, which is
+        Bayer's here.
         """
         gain, read = self.noise
-        gain = gain * (2 + sum(self.balance)) / 4 * self.factors["G"] ** 2
+        gain = gain * self._mean_signal * self._factor_of_white**2
         deviation = (
             np.sqrt(gain) / 2
             if self.domain == "root"
             else np.hypot(np.sqrt(gain / self.scale / 4), read)
         )
         return float(deviation / self.white)
+
+    @property
+    def _mean_signal(self):
+        """Mean of `signals` over the pixels of the mosaic."""
+        return (2 + sum(self.balance)) / 4
 
     def encode(self, signal):
         """Return the code of a signal above black [DN]."""

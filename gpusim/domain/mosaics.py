@@ -66,6 +66,27 @@ def bayer_phase(cfa) -> tuple[int, int] | None:
     return (row, col) if cfa[1 - row][1 - col] == "B" else None
 
 
+def bayer_roles(cfa) -> tuple[str, str] | None:
+    """Return how a mosaic of three channels corresponds to a Bayer mosaic, or None if it does not.
+
+    Three channels over 2 x 2 pixels correspond if the one with two pixels is on a diagonal.
+
+    Returns:
+        The Bayer phase, such as "RGGB", and the letters in the places of R, G and B. In ("RY",
+        "YB") these are "RYB". R comes first and B last; without them the order is that of the mosaic.
+    """
+    letters = "".join(cfa)
+    if len(cfa) != 2 or len(letters) != 4 or len(set(letters)) != 3:
+        return None
+    twice = max(letters, key=letters.count)
+    if letters.index(twice) + letters.rindex(twice) != 3:
+        return None
+    others = [letter for letter in letters if letter != twice]
+    red, blue = sorted(others, key=lambda letter: (letter == "B") - (letter == "R"))
+    roles = red + twice + blue
+    return "".join("RGB"[roles.index(letter)] for letter in letters), roles
+
+
 def bin_mosaic(
     cfa_indices: np.ndarray, binning: tuple[int, int]
 ) -> tuple[tuple[int, int], np.ndarray]:

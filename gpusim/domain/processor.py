@@ -140,12 +140,13 @@ class Processor:
         demosaic: Method for a Bayer mosaic, from fast to good: "bilinear", "malvar"
             (gradient-corrected), "adaptive" (along edges), "best" (regressed gains, uses noise and
             blur), "learned" (local linear filters from a table), "network" (a small network that also
-            removes noise, for any mosaic of red, green and blue). Mosaics that are not Bayer take
-            "bilinear" (weighted means), "learned" or "network". "auto": "learned" for X-Trans and
-            quad-Bayer mosaics of red, green and blue, "bilinear" for all others (see
-            `Camera.demosaic_method`).
-        table: Filters of "learned"; None: the built-in ones, for Bayer, X-Trans and quad-Bayer
-            mosaics.
+            removes noise, for any mosaic of red, green and blue). All but "learned" also serve
+            RCCB, RYYB, CYYM and others of three channels with the doubled one on a diagonal. Further
+            mosaics take "bilinear" (weighted means), "learned" or "network". "auto" takes what suits
+            the mosaic: "best" for those like Bayer's, "learned" for those with built-in filters,
+            else "bilinear", as for Bayer's (see `Camera.demosaic_method`).
+        table: Filters of "learned"; None: the built-in ones, for Bayer mosaics and those of
+            `gpusim.domain.guided.BUILT_IN`.
         white_balance: "illuminant" (the light of the scene is known; a perfect diffuser becomes
             neutral), an estimate from the picture ("bayesian", which errs least, "gray-world",
             "max-rgb", "shades-of-gray", "red-blue"), "preset" (the light in which white has the

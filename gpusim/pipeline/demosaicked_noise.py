@@ -40,6 +40,10 @@ class DemosaickedNoise:
         """Covariance per pixel of means over large areas, (C, C)."""
         return 4.0 ** (LEVELS - 1) * self.covariance[-1, -1, -1]
 
+    def in_order(self, planes) -> "DemosaickedNoise":
+        """Return the noise with the planes of these indices."""
+        return DemosaickedNoise(self.covariance[..., planes, :][..., planes], self.share[planes])
+
     def spread(self, axes: np.ndarray) -> np.ndarray:
         """Return the standard deviation in each coefficient along axes (C, C), (LEVELS, C, 4, 4)."""
         variance = np.einsum("ac,lvucd,ad->lavu", axes, self.covariance, axes)

@@ -17,6 +17,7 @@ from gpusim.color.root_polynomial import linearise
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display, decoding
 from gpusim.domain.learned import XYZ
+from gpusim.domain.mosaics import bayer_roles
 from gpusim.domain.processor import Processor
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.domain.sensor import FLOAT_BITS
@@ -24,7 +25,7 @@ from gpusim.domain.tone import NO_TONE, TONES
 from gpusim.io.camera.guided import guided_table
 from gpusim.kernels.display.encode import encode, thresholds
 from gpusim.kernels.processor.adaptive import adaptive
-from gpusim.kernels.processor.best import best
+from gpusim.kernels.processor.best import best, root_gain
 from gpusim.kernels.processor.bilinear import bilinear
 from gpusim.kernels.processor.color import color
 from gpusim.kernels.processor.defects import defects
@@ -47,6 +48,7 @@ from gpusim.kernels.processor.shade import shade
 from gpusim.kernels.processor.sharpen import detail_gain, sharpen
 from gpusim.kernels.processor.thumbnail import thumbnail
 from gpusim.optics.correction import LensCorrection
+from gpusim.pipeline.balanced import demosaic_balanced, filter_channels
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.demosaicked_noise import LEVELS, denoise_planes, measure_noise, white_noise
 from gpusim.pipeline.step import Chain, Rate, Step, Values
@@ -66,6 +68,12 @@ class _Numbers:
     black: float
     scale: float
     noise: tuple[float, float]
+
+    @property
+    def root_noise(self):
+        """The noise for filters of roots: none without shot noise, and shot noise beside read noise (`root_gain`)."""
+        gain, read = self.noise
+        return (root_gain(gain, read), read) if gain else (0.0, 0.0)
 
     def on_corrected_scale(self):
         """Return the numbers on the scale of corrected mosaics."""
@@ -358,6 +366,7 @@ class Developer:
         sensor, processor = self.camera.sensor, self.camera.processor
         constants: dict[str, Any] = {"black_level": numbers.black, "scale": numbers.scale}
         name, method, more_bytes = "", self.camera.demosaic_method, 0
+        roles = bayer_roles(sensor.cfa)
         run: Callable
         others: list[str]
         if sensor.stacked:
@@ -367,26 +376,28 @@ class Developer:
         elif sensor.is_monochrome:
             stage, words, run, others = "processor.linear", "monochrome", linear, []
         elif method == "learned" and not (processor.table or sensor.bayer_phase):
-            stage, run, others = "processor.guided", demosaic_balanced, ["neutral"]
+            stage, run, others = "processor.guided", filter_channels, ["neutral"]
             mosaic = self.camera.built_in_filters
-            more_bytes = guided_table(mosaic).device_bytes
+            table = guided_table(mosaic)
+            more_bytes = table.device_bytes
             words, name = f"filters for {mosaic}, chosen on a first picture, built in", "guided"
             constants |= {
                 "demosaic": guided,
                 "phase": sensor.cfa,
-                "noise": numbers.noise if numbers.noise[0] else (0.0, 0.0),
-                "table": guided_table(mosaic),
-                "places": self._places,
+                "noise": numbers.root_noise,
+                "table": table,
+                "channels": sensor.channels,
             }
         elif method == "learned":
             stage, run, others = "processor.learned", demosaic_balanced, ["neutral"]
             words = "learned local linear filters" + ("" if processor.table else ", built in")
             name = method
+            own = numbers.noise if numbers.noise[0] else (0.0, 0.0)  # as `train-l3` has it
             constants |= {
                 "demosaic": learned,
                 "phase": sensor.cfa,
                 # its square roots include read noise as well as shot noise
-                "noise": numbers.noise if numbers.noise[0] else (0.0, 0.0),
+                "noise": own if processor.table else numbers.root_noise,
                 "table": processor.table,
                 # a camera's filters were learned from unbalanced channels, in its light
                 "places": None if processor.table else self._places,
@@ -405,19 +416,23 @@ class Developer:
                 "half": True,
                 "places": self._places,
             }
-        elif not sensor.bayer_phase:
+        elif not roles or (method == "bilinear" and not sensor.bayer_phase):
             stage, run, others = "processor.interpolate", interpolate, []
             words = "weighted means of each channel's neighbours"
             constants |= {"cfa": sensor.cfa_indices}
         else:
+            phase, letters = roles
             stage, words = f"processor.{method}", f"{method} demosaicking"
-            constants |= {"phase": "".join(sensor.cfa)}
+            if not sensor.bayer_phase:
+                words += f", {', '.join(letters)} in the places of red, green and blue"
+                more_bytes = 24 * prod(shape)  # their planes are copied into the sensor's order
+            constants |= {"phase": phase}
             name, run, others = method, bilinear, []
             if method != "bilinear":  # these compare channels with each other
                 run, others = demosaic_balanced, ["neutral"]
                 constants |= {
                     "demosaic": {"malvar": malvar, "adaptive": adaptive, "best": best}[method],
-                    "places": self._places,
+                    "places": tuple(map(sensor.channels.index, letters)),
                 }
             if method == "best":
                 others.append("blur")
@@ -462,6 +477,9 @@ class Developer:
             part = int(not numbers.noise[0])  # the shot noise, if there is any
             assumed = round(told[part] / numbers.noise[part], 6) if numbers.noise[part] else 0.0
             measured = measure_noise(constants.get("demosaic", demosaic), arguments, assumed)
+            places = constants.get("places")
+            if places:  # of the demosaicker's planes among the channels
+                measured = measured.in_order(np.argsort(places))
         gain, dark = numbers.noise
         chain.add(
             "processor.multiscale",
@@ -605,28 +623,6 @@ def separate_layers(raw, *, correct, layers, device, **constants) -> Any:
     rows, cols = raw.shape
     values = correct_layers(raw, correct=correct, layers=layers, device=device, **constants)
     return device.reshape(values, (layers, rows // layers, cols))
-
-
-def demosaic_balanced(raw, white, blur=None, *, demosaic, places, device, **constants) -> Any:
-    """Return camera values from a demosaicker that compares channels, balanced to make white equal in them."""
-    if blur is not None:
-        constants = constants | {"blur": blur}
-    return demosaic(raw, balance=balance_of(white, places), **constants, device=device)
-
-
-def balance_of(white, places) -> tuple[float, float]:
-    """Return the factors of red and blue that make white equal in red, green and blue.
-
-    white: camera values of white, shape (C,), or None. places: indices of red, green and blue, or None.
-    """
-    if white is None or places is None:
-        return 1.0, 1.0
-    red, green, blue = white[list(places)].tolist()
-    if not green > 0:
-        return 1.0, 1.0
-    # limits the gain of a channel that hardly responds to white
-    least, most = green / MOST_BALANCE, green * MOST_BALANCE
-    return green / min(max(red, least), most), green / min(max(blue, least), most)
 
 
 def neutral_of(rendering: Rendering) -> np.ndarray:

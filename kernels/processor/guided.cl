@@ -1,12 +1,16 @@
-// Five passes: `encode` writes codes with their surroundings, `first` the first picture (R, G, B, 0), `contrast` its
+// Five passes: `encode` writes codes with their surroundings, `first` the first picture (CHANNELS channels and 0), `contrast` its
 // differences along rows, columns and both diagonals, `classify` each pixel's row of the table, `apply` the planes.
 // All but `apply` compute whole numbers, which are the same on every device.
 #pragma OPENCL FP_CONTRACT OFF
 #define LARGEST 131071
 
-// The pixel in place of pixel i: a whole number of periods away.
+// The pixel in place of pixel i: mirrored for periods up to 2, else a whole number of periods away.
 inline int repeated(const int i, const int n, const int period)
 {
+    if (period <= 2) {
+        const int span = max(2 * n - 2, 1), at = (i % span + span) % span;
+        return at < n ? at : span - at;
+    }
     if (i < 0) return (i % period + period) % period;
     return i < n ? i : n - period + (i - n) % period;
 }
@@ -56,7 +60,21 @@ __kernel void first(
     pictures[(size_t)y * cols + x] = sum >> 11;
 }
 
-inline int light(__global const int4 *restrict pixel) { return pixel->x + 2 * pixel->y + pixel->z; }
+inline int light(__global const int4 *restrict pixel)
+{
+    const int values[4] = {pixel->x, pixel->y, pixel->z, pixel->w};
+    return values[0] + values[1] + values[2] + values[3] + values[GUIDE];
+}
+
+// The contrast of colour between two pixels.
+inline int tint(__global const int4 *restrict one, __global const int4 *restrict other)
+{
+    const int4 step = *one - *other;
+    const int steps[4] = {step.x, step.y, step.z, step.w};
+    int sum = 0;
+    for (int c = 0; c < CHANNELS; ++c) sum += abs(steps[c] - steps[GUIDE]);
+    return sum;
+}
 
 __kernel void contrast(
     // in:
@@ -72,9 +90,7 @@ __kernel void contrast(
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= cols || y >= rows)
     __global const int4 *at = pictures + (size_t)(y + reach) * wide + x + reach;
-    const int4 across = at[1] - at[-1], down = at[wide] - at[-wide];
-    tints[(size_t)y * cols + x] = abs(across.x - across.y) + abs(across.z - across.y)
-                                  + abs(down.x - down.y) + abs(down.z - down.y);
+    tints[(size_t)y * cols + x] = tint(at + 1, at - 1) + tint(at + wide, at - wide);
     contrasts[(size_t)y * cols + x] = (int4)(
         abs(light(at + 1) - light(at - 1)), abs(light(at + wide) - light(at - wide)),
         abs(light(at + wide + 1) - light(at - wide - 1)), abs(light(at + wide - 1) - light(at - wide + 1)));
@@ -129,11 +145,11 @@ __kernel void apply(
     __global const int *restrict units,         // [rows][cols]
     __global const int2 *restrict code_taps,    // [codes_count] rows, columns
     __global const int2 *restrict guide_taps,   // [guides_count]
-    __global const float4 *restrict weights,    // [units][codes_count + 3 guides_count]
+    __global const float4 *restrict weights,    // [units][codes_count + CHANNELS guides_count]
     __global const float4 *restrict share,      // [units] of the loss
     __global const float *restrict loss,        // of roots, see levels.py
     // out:
-    __global float *restrict out,               // [3][rows][cols]
+    __global float *restrict out,               // [CHANNELS][rows][cols]
     // params:
     const float unit, const float zero, const float offset, const float scale, const int root, const int reach,
     const int outer,
@@ -144,7 +160,7 @@ __kernel void apply(
     GUARD(x >= cols || y >= rows)
     const size_t pixel = (size_t)y * cols + x, pixels = (size_t)rows * cols;
     const int row = units[pixel];
-    __global const float4 *weight = weights + (size_t)row * (codes_count + 3 * guides_count);
+    __global const float4 *weight = weights + (size_t)row * (codes_count + CHANNELS * guides_count);
     __global const int *at = codes + (size_t)(y + reach) * wide + x + reach;
     float4 sum = (float4)(0.0f);
     for (int t = 0; t < codes_count; ++t)
@@ -153,7 +169,10 @@ __kernel void apply(
     __global const int4 *near = pictures + (size_t)(y + outer) * broad + x + outer;
     for (int t = 0; t < guides_count; ++t) {
         const float4 color = convert_float4(near[guide_taps[t].x * broad + guide_taps[t].y]);
-        sum += weight[3 * t] * color.x + weight[3 * t + 1] * color.y + weight[3 * t + 2] * color.z;
+        const float values[4] = {color.x, color.y, color.z, color.w};
+        float4 part = weight[CHANNELS * t] * values[0];
+        for (int c = 1; c < CHANNELS; ++c) part += weight[CHANNELS * t + c] * values[c];
+        sum += part;
     }
     float4 code = sum * unit;
     if (root) {
@@ -163,7 +182,6 @@ __kernel void apply(
         const float4 lost = (((loss[2] * part + loss[3]) * part + loss[4]) * part + loss[5]) * part + loss[6];
         code = code * fabs(code) - offset + (loss[0] > 0.0f ? share[row] * lost : (float4)(0.0f));
     }
-    out[pixel] = code.x * scale;
-    out[pixels + pixel] = code.y * scale;
-    out[2 * pixels + pixel] = code.z * scale;
+    const float planes[4] = {code.x, code.y, code.z, code.w};
+    for (int o = 0; o < CHANNELS; ++o) out[o * pixels + pixel] = planes[o] * scale;
 }

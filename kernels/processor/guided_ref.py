@@ -2,15 +2,15 @@
 
 The codes q are whole numbers of steps. The first picture is, at a pixel of position p,
 
-    E_o = floor((sum over taps t of w[p, o, t] q[t] + 1024) / 2048),   o = R, G, B.
+    E_o = floor((sum over taps t of w[p, o, t] q[t] + 1024) / 2048)   of each channel o.
 
-With Y = E_R + 2 E_G + E_B, and A, B, C, D the sums over a box of |Y(+1) - Y(-1)| along rows,
-along columns and along the two diagonals,
+With g the guide (see `gpusim.domain.guided`), Y = E_g + sum over all o of E_o, and A, B, C, D the
+sums over a box of |Y(+1) - Y(-1)| along rows, along columns and along the two diagonals,
 
     direction = number of ratios r with A + e > r (B + e)  less  number with B + e > r (A + e),
 
 the same of C and D for the diagonal, and strength = number of bounds below A + B. With T the sum
-over the box of |R - G| and |B - G|, differences between +1 and -1 as above along rows and columns,
+over the box of |E_o - E_g| of the other channels o, differences between +1 and -1 as above along rows and columns,
 
     share = number of ratios s with 2 T + e > s (A + B + e).
 
@@ -24,7 +24,14 @@ Balance and the loss of the square are as in learned_ref.py.
 
 import numpy as np
 
-from gpusim.domain.guided import FINEST_FIRST, LARGEST, GuidedTable, diamond, steps_of
+from gpusim.domain.guided import (
+    FINEST_FIRST,
+    LARGEST,
+    GuidedTable,
+    MosaicCode,
+    diamond,
+    steps_of,
+)
 from gpusim.domain.learned import Code
 from gpusim.kernels.processor.learned_ref import extend_plane, positions
 from gpusim.kernels.processor.levels import root_loss
@@ -33,10 +40,20 @@ WAYS = ((0, 1), (1, 0), (1, 1), (1, -1))  # along rows, columns, falling and ris
 
 
 def guided(
-    raw, *, phase, black_level, scale, table, domain="root", noise=(0.0, 0.0), balance=(1.0, 1.0)
+    raw,
+    *,
+    phase,
+    black_level,
+    scale,
+    table,
+    domain="root",
+    noise=(0.0, 0.0),
+    balance=None,
+    channels=None,
 ):
     """Return the stage's result, see `guided.py`."""
-    code = Code(domain, black_level, scale, noise, tuple(balance))
+    balances = tuple((balance or {}).items())
+    code = MosaicCode(domain, black_level, scale, noise, mosaic=table.mosaic, balances=balances)
     shift = table.shift(phase)
     first, second, floor, strengths = table.at_noise(code.sigma)
     whole = codes_of(raw, code, table, shift)
@@ -45,7 +62,7 @@ def guided(
     classes = classify(pictures, code, table, floor, strengths)
     terms = terms_of(whole, pictures, table)
     weights = second.astype(np.float32).astype(np.float64)[places, classes]
-    own = np.array([code.factors[name] for name in "RGB"])[:, None, None]
+    own = np.array([code.factors[letter] for letter in table.channels])[:, None, None]
     out = np.einsum("yxot,tyx->oyx", weights, np.stack(terms)) / steps_of(code) / own
     signal = code.decode(out)
     if code.domain == "root" and noise[0] > 0:
@@ -53,7 +70,8 @@ def guided(
         kept = left_noise(table, code, first, second)[places, classes]
         at = np.minimum(1, far / (near + (out + np.sqrt(code.offset)) ** 2))
         signal += (1 - np.moveaxis(kept, 2, 0)) * np.polyval(rest, at)
-    return signal * scale
+    order = [table.channels.index(letter) for letter in channels or table.channels]
+    return signal[order] * scale
 
 
 def codes_of(raw, code: Code, table: GuidedTable, shift):
@@ -71,12 +89,12 @@ def codes_of(raw, code: Code, table: GuidedTable, shift):
 
 
 def first_picture(whole, first, table: GuidedTable, shift):
-    """Return R, G and B, wider than the frame by the second part of the table's reach, int64."""
+    """Return the channels, wider than the frame by the second part of the table's reach, int64."""
     inner, outer = table.reach
     rows, cols = (n - 2 * inner for n in whole.shape)
     down, right = table.period
     places = positions(table, (down, right), [s - outer for s in shift])
-    out = np.full((3, rows, cols), FINEST_FIRST // 2, np.int64)
+    out = np.full((len(table.channels), rows, cols), FINEST_FIRST // 2, np.int64)
     for y, x in np.ndindex(down, right):
         weights = first[places[y, x]]
         for at, (dy, dx) in enumerate(diamond(table.radii[0]) + inner):
@@ -87,18 +105,24 @@ def first_picture(whole, first, table: GuidedTable, shift):
 
 def classify(pictures, code: Code, table: GuidedTable, floor, strengths):
     """Return each pixel's class, (rows, cols). floor, strengths: relative to white."""
-    unit = 4 * steps_of(code) * code.white * (2 * table.box + 1) ** 2
+    unit = table.lights * steps_of(code) * code.white * (2 * table.box + 1) ** 2
     e = np.floor(floor * unit)
     bounds = np.floor(2 * np.asarray(strengths) * unit)
-    light = pictures[0] + 2 * pictures[1] + pictures[2]
+    guide, light = pictures[table.guide], light_of(pictures, table)
     across, down, falling, rising = (contrast(light, table, *way) for way in WAYS)
-    tint = sum(contrast(pictures[c] - pictures[1], table, *way) for c in (0, 2) for way in WAYS[:2])
+    others = np.delete(pictures, table.guide, axis=0) - guide
+    tint = sum(contrast(plane, table, *way) for plane in others for way in WAYS[:2])
     direction = _compare(across, down, table.ratios, e)
     diagonal = _compare(falling, rising, table.diagonals, e)
     strength = (across + down > bounds[:, None, None]).sum(axis=0)
     shares = table.shares[:, None, None]
     share = (16 * tint > shares * (across + down) + (shares - 8) * e).sum(axis=0)
     return np.ravel_multi_index((direction, diagonal, share, strength), table.kinds)
+
+
+def light_of(pictures, table: GuidedTable):
+    """Return the light of a first picture: all channels, the guide twice."""
+    return pictures.sum(axis=0) + pictures[table.guide]
 
 
 def contrast(plane, table: GuidedTable, dy, dx):
@@ -134,7 +158,7 @@ def terms_of(whole, pictures, table: GuidedTable):
 
 
 def left_noise(table: GuidedTable, code: Code, first, second):
-    """Return the variance of the results over that of an unbalanced code, shape (P, K, 3).
+    """Return the variance of the results over that of an unbalanced code, shape (P, K, C).
 
     Codes have independent noise of variance v f^2, and the first picture is made of codes.
     """
@@ -142,7 +166,7 @@ def left_noise(table: GuidedTable, code: Code, first, second):
     reach = max(table.radii[1], table.radii[0] + table.radii[2])
     n = 2 * reach + 1
     factor = np.array([[code.factors[letter] for letter in text] for text in table.mosaic])
-    own = np.array([code.factors[name] for name in "RGB"])
+    own = np.array([code.factors[letter] for letter in table.channels])
     taps = [diamond(radius) for radius in table.radii]
     out = []
     for p, weights in enumerate(second):
@@ -150,7 +174,7 @@ def left_noise(table: GuidedTable, code: Code, first, second):
         made = np.zeros((second.shape[-1], n, n))
         for at, (dy, dx) in enumerate(taps[1]):
             made[at, dy + reach, dx + reach] = 1
-        for c in range(3):
+        for c in range(len(table.channels)):
             for at, (dy, dx) in enumerate(taps[2]):
                 term = made[len(taps[1]) + c * len(taps[2]) + at]
                 filters = first[(y + dy) % rows * cols + (x + dx) % cols, c] / FINEST_FIRST

@@ -10,9 +10,14 @@ LARGEST = wp.constant(131071.0)
 
 @wp.func
 def repeated(i: int, n: int, period: int):
-    """Return the pixel in place of pixel i: a whole number of periods away."""
+    """Return the pixel in place of pixel i: mirrored for periods up to 2, else periods away."""
     j = i
-    if i < 0:
+    if period <= 2:
+        span = wp.max(2 * n - 2, 1)
+        j = (i % span + span) % span
+        if j >= n:
+            j = span - j
+    elif i < 0:
         j = (i % period + period) % period
     elif i >= n:
         j = n - period + (i - n) % period
@@ -83,31 +88,38 @@ def first(
     position = place(y - outer + shift_y, period_y) * period_x + place(
         x - outer + shift_x, period_x
     )
-    red = int(1024)
-    green = int(1024)
-    blue = int(1024)
+    sum = wp.vec4i(1024, 1024, 1024, 1024)
     for t in range(count):
         code = codes[y + inner + taps[t, 0], x + inner + taps[t, 1]]
-        red += weights[position, t, 0] * code
-        green += weights[position, t, 1] * code
-        blue += weights[position, t, 2] * code
-    pictures[y, x, 0] = red >> 11
-    pictures[y, x, 1] = green >> 11
-    pictures[y, x, 2] = blue >> 11
+        for o in range(4):
+            sum[o] = sum[o] + weights[position, t, o] * code
+    for o in range(4):
+        pictures[y, x, o] = sum[o] >> 11
 
 
 @wp.func
-def light(pictures: wp.array3d[int], y: int, x: int):
-    return pictures[y, x, 0] + 2 * pictures[y, x, 1] + pictures[y, x, 2]
+def light(pictures: wp.array3d[int], y: int, x: int, guide: int):
+    sum = pictures[y, x, guide]
+    for c in range(4):
+        sum += pictures[y, x, c]
+    return sum
 
 
 @wp.func
-def tint(pictures: wp.array3d[int], v: int, u: int, w: int, t: int):
+def tint(pictures: wp.array3d[int], v: int, u: int, w: int, t: int, guide: int, channels: int):
     """Return the contrast of colour between two pixels."""
-    green = pictures[v, u, 1] - pictures[w, t, 1]
-    red = pictures[v, u, 0] - pictures[w, t, 0] - green
-    blue = pictures[v, u, 2] - pictures[w, t, 2] - green
-    return wp.abs(red) + wp.abs(blue)
+    own = pictures[v, u, guide] - pictures[w, t, guide]
+    sum = int(0)
+    for c in range(channels):
+        sum += wp.abs(pictures[v, u, c] - pictures[w, t, c] - own)
+    return sum
+
+
+@wp.func
+def step(pictures: wp.array3d[int], v: int, u: int, dy: int, dx: int, guide: int):
+    """Return the contrast of light between the pixels ahead and behind."""
+    ahead = light(pictures, v + dy, u + dx, guide)
+    return wp.abs(ahead - light(pictures, v - dy, u - dx, guide))
 
 
 @wp.kernel
@@ -123,16 +135,18 @@ def contrast(
     rows: int,
     cols: int,
     wide: int,
+    channels: int,
+    guide: int,
 ):
     y, x = wp.tid()
     v = y + reach
     u = x + reach
-    across = tint(pictures, v, u + 1, v, u - 1)
-    tints[y, x] = across + tint(pictures, v + 1, u, v - 1, u)
-    contrasts[y, x, 0] = wp.abs(light(pictures, v, u + 1) - light(pictures, v, u - 1))
-    contrasts[y, x, 1] = wp.abs(light(pictures, v + 1, u) - light(pictures, v - 1, u))
-    contrasts[y, x, 2] = wp.abs(light(pictures, v + 1, u + 1) - light(pictures, v - 1, u - 1))
-    contrasts[y, x, 3] = wp.abs(light(pictures, v + 1, u - 1) - light(pictures, v - 1, u + 1))
+    across = tint(pictures, v, u + 1, v, u - 1, guide, channels)
+    tints[y, x] = across + tint(pictures, v + 1, u, v - 1, u, guide, channels)
+    contrasts[y, x, 0] = step(pictures, v, u, 0, 1, guide)
+    contrasts[y, x, 1] = step(pictures, v, u, 1, 0, guide)
+    contrasts[y, x, 2] = step(pictures, v, u, 1, 1, guide)
+    contrasts[y, x, 3] = step(pictures, v, u, 1, -1, guide)
 
 
 @wp.func
@@ -224,22 +238,23 @@ def apply(
     cols: int,
     wide: int,
     broad: int,
+    channels: int,
 ):
     y, x = wp.tid()
     row = units[y, x]
-    sum = wp.vec3()
+    sum = wp.vec4()
     for t in range(codes_count):
         code = float(codes[y + reach + code_taps[t, 0], x + reach + code_taps[t, 1]])
-        for o in range(3):
+        for o in range(4):
             sum[o] = sum[o] + weights[row, t, o] * code
     for t in range(guides_count):
         v = y + outer + guide_taps[t, 0]
         u = x + outer + guide_taps[t, 1]
-        for c in range(3):
+        for c in range(channels):
             color = float(pictures[v, u, c])
-            for o in range(3):
-                sum[o] = sum[o] + weights[row, codes_count + 3 * t + c, o] * color
-    for o in range(3):
+            for o in range(4):
+                sum[o] = sum[o] + weights[row, codes_count + channels * t + c, o] * color
+    for o in range(channels):
         value = sum[o] * unit
         if root != 0:
             value += zero

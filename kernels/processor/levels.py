@@ -5,7 +5,7 @@ import math
 
 import numpy as np
 
-from gpusim.domain.errors import OutOfRange
+from gpusim.domain.errors import OutOfRange, check_known
 
 # A mosaic that was shaded or denoised: black at CORRECTED_BLACK, to keep noise below black
 CORRECTED_BLACK, CORRECTED_WHITE = 4096, 65535
@@ -44,6 +44,17 @@ def check_balance(balance) -> tuple[float, float]:
             "balance", balance, f"two factors (red, blue), 1 / {MOST_BALANCE} .. {MOST_BALANCE}"
         )
     return red, blue
+
+
+def check_balances(balance, channels) -> tuple[tuple[str, float], ...]:
+    """Return (letter, white balance factor) of channels. Raise OutOfRange, or UnknownName for a letter."""
+    for letter, factor in balance.items():
+        check_known("balance", letter, channels)
+        if not 1 / MOST_BALANCE <= factor <= MOST_BALANCE:
+            raise OutOfRange(
+                f"balance of {letter}", factor, f"1 / {MOST_BALANCE} .. {MOST_BALANCE}"
+            )
+    return tuple((letter, float(factor)) for letter, factor in balance.items())
 
 
 @functools.lru_cache(maxsize=64)

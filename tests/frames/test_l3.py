@@ -310,7 +310,7 @@ def test_trained_filters_show_white_as_interpolation_does(rgbw_table):
 
 
 def test_better_than_interpolation_in_the_dark(rgbw_table):
-    camera = rgbw_camera()
+    camera = dataclasses.replace(rgbw_camera(), processor=Processor(demosaic="bilinear"))
     scene = at_luminance(
         chart("deadleaves", size=(128, 96), surfaces="colorchecker-sg", smallest=6, seed=3), 1.0
     )

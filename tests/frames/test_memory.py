@@ -36,6 +36,7 @@ CAMERAS = {
     "best": camera_with(processor={"demosaic": "best"}),
     "learned": camera_with(processor={"demosaic": "learned"}),
     "x-trans": PHONE.with_(cfa="x-trans"),
+    "rccb": PHONE.with_(cfa="rccb"),
     "network": camera_with(processor={"demosaic": "network"}),
     "corrected": camera_with(
         processor={"denoise": 1.0, "sharpen": 1.0, "shading": True, "defects": "detect"}

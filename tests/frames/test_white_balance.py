@@ -14,7 +14,8 @@ from gpusim.kernels.processor.bayer import RED
 from gpusim.kernels.processor.best import best
 from gpusim.kernels.processor.learned import learned
 from gpusim.kernels.processor.malvar import malvar
-from gpusim.pipeline.developer import Developer, balance_of
+from gpusim.pipeline.balanced import balance_of
+from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.simulator import Simulator
 
 METHODS = {"malvar": malvar, "adaptive": adaptive, "best": best, "learned": learned}

@@ -242,7 +242,7 @@ def test_a_frame_of_every_mosaic_says_how_it_is_demosaicked():
     scene = gs.chart("colorchecker", size=(24, 16))
     for name in ("x-trans", "quad-bayer", "rgbw", "rccb", "rccc", "ryyb", "rgbn", "cyym"):
         report = gs.Simulator(gs.open_camera("phone").with_(cfa=name), device="numpy")(scene).report
-        stage = "processor.guided" if name in BUILT_IN else "processor.interpolate"
+        stage = "processor.guided" if name in BUILT_IN else "processor.best"
         assert any(found.stage == stage for found in report.stages), name
         derived = set("".join(MOSAICS[name])) - {*"RGBW"}
         assert all(f"curve of {letter}" in str(report) for letter in derived)

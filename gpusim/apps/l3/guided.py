@@ -1,7 +1,10 @@
-"""Training of filters that are chosen on a first picture, on photographs, for any mosaic of R, G, B.
+"""Training of filters that are chosen on a first picture, on photographs, for any mosaic.
 
 Frames are as in `gpusim.apps.l3.photographs`: encoded pictures without noise, linear light with
-noise. Every second picture also counts blurred, every third one in more vivid colours. The first
+noise. Every second picture also counts blurred, every third one in more vivid colours. Channels of
+mosaics that have others than red, green and blue are those of the built-in phone in D65: sums of
+the photograph's channels, and electrons in these shares. Photographs do not tell the near infrared:
+it is another random mean of red, green and blue in each of them. The first
 filters are one least squares for each noise level and position; the second ones one for each orbit
 of positions and classes, with a ridge towards the filter of all classes (Lansel & Wandell 2011).
 Both keep flat fields of any colour.
@@ -10,12 +13,13 @@ Both keep flat fields of any colour.
 import datetime
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from gpusim import __version__
+from gpusim.apps.l3.channels import channel_mix
 from gpusim.apps.l3.fit import solve_ridge
 from gpusim.apps.l3.photographs import (
     BLURRED,
@@ -32,13 +36,14 @@ from gpusim.domain.guided import (
     FINEST,
     FINEST_FIRST,
     GuidedTable,
+    MosaicCode,
     Orbits,
     diamond,
     round_filters,
     steps_of,
     tap_colors,
 )
-from gpusim.domain.learned import Code
+from gpusim.domain.mosaics import symmetries
 from gpusim.io.camera.guided import write_guided
 from gpusim.kernels.processor.guided_ref import (
     WAYS,
@@ -46,6 +51,7 @@ from gpusim.kernels.processor.guided_ref import (
     codes_of,
     contrast,
     first_picture,
+    light_of,
     terms_of,
 )
 from gpusim.kernels.processor.learned_ref import positions
@@ -54,10 +60,7 @@ BLURS = (0.0, 0.8, 2.0)  # standard deviations of copies [pixel]
 NOISY_BLUR = 0.8  # the largest of frames with noise
 SATURATION = 2.0  # of the colours of further copies
 NOISE = (0.0, 0.006, 0.017, 0.045, 0.12)  # of the code, relative to white
-RADII = (5, 4, 2)  # as in `GuidedTable`
 BOX = 2  # as in `GuidedTable`
-RATIOS, DIAGONALS, SHARES = (10, 16, 32), (13,), (3, 7)  # eighths
-QUANTILES = (0.4, 0.7, 0.9)  # of the contrasts of all photographs: bounds of the strengths
 EVERY = 4  # of so many photographs one counts for the bounds
 FLOOR = 0.15  # quantile of the contrasts
 LEAST_FLOOR = 0.5 / 255  # of white
@@ -68,28 +71,50 @@ BORDER = 12  # pixels that do not count, beside repeated ones
 GRID = np.geomspace(1e-5, 2.0, 400)  # contrasts of the histogram, relative to white
 
 
-def start_table(mosaic, radii, noise) -> GuidedTable:
+@dataclass(frozen=True)
+class Choices:
+    """Sizes of a table: radii as in `GuidedTable`, bounds of the classes, the step of the filters.
+
+    Attributes: ratios, diagonals, shares: as in `GuidedTable`. quantiles: of the contrasts of all
+    photographs, the bounds of the strengths. step: the second filters are multiples of it.
+    """
+
+    radii: tuple[int, int, int] = (5, 4, 2)
+    ratios: tuple[int, ...] = (10, 16, 32)
+    diagonals: tuple[int, ...] = (13,)
+    shares: tuple[int, ...] = (3, 7)
+    quantiles: tuple[float, ...] = (0.4, 0.7, 0.9)
+    step: int = 1
+
+
+COARSE = Choices(ratios=(12,), shares=(), quantiles=(0.5, 0.8), step=32)
+FEW = (0.0, 0.012, 0.04, 0.12)  # noise levels of a small table
+
+
+def start_table(mosaic, choices, noise) -> GuidedTable:
     """Return the table that training starts with: values of some sample of each channel."""
-    directions = 2 * len(RATIOS) + 1, 2 * len(DIAGONALS) + 1
-    kinds = *directions, len(SHARES) + 1, len(QUANTILES) + 1
+    radii, quantiles = choices.radii, choices.quantiles
+    directions = 2 * len(choices.ratios) + 1, 2 * len(choices.diagonals) + 1
+    kinds = *directions, len(choices.shares) + 1, len(quantiles) + 1
     orbits = Orbits(mosaic, kinds, radii[1:])
     taps = list(map(diamond, radii))
     colors = tap_colors(mosaic, taps[0])
-    first = np.zeros((len(noise), len(colors), 3, len(taps[0])), int)
+    count = colors.shape[-1]
+    first = np.zeros((len(noise), len(colors), count, len(taps[0])), int)
     some = np.argmax(colors, axis=1)[None, ..., None]
     np.put_along_axis(first, np.broadcast_to(some, (*first.shape[:3], 1)), FINEST_FIRST, -1)
-    second = np.zeros((len(noise), orbits.count, 3, len(taps[1]) + 3 * len(taps[2])), int)
-    for c in range(3):
+    second = np.zeros((len(noise), orbits.count, count, len(taps[1]) + count * len(taps[2])), int)
+    for c in range(count):
         second[:, :, c, len(taps[1]) + c * len(taps[2])] = FINEST
-    strengths = np.tile(np.arange(1.0, 1 + len(QUANTILES)), (len(noise), 1))
+    strengths = np.tile(np.arange(1.0, 1 + len(quantiles)), (len(noise), 1))
     floor = np.full(len(noise), LEAST_FLOOR)
     return GuidedTable(
         mosaic=tuple(mosaic),
         radii=radii,
         box=BOX,
-        ratios=np.array(RATIOS),
-        diagonals=np.array(DIAGONALS),
-        shares=np.array(SHARES),
+        ratios=np.array(choices.ratios),
+        diagonals=np.array(choices.diagonals),
+        shares=np.array(choices.shares),
         noise=np.array(noise),
         floor=floor,
         strengths=strengths,
@@ -103,46 +128,76 @@ class Training:
 
     Args:
         mosaic: One period, a text per row.
-        radii: As in `GuidedTable`.
+        choices: Sizes of the table.
         noise: Noise levels, as in `GuidedTable`.
         seed: Seed of the noise.
         blurs: Standard deviations of the copies, the first 0 for the photograph itself [pixel].
     """
 
-    def __init__(self, mosaic, radii=RADII, noise=NOISE, seed=1, blurs=BLURS):
+    def __init__(self, mosaic, choices=Choices(), noise=NOISE, seed=1, blurs=BLURS):
         self.mosaic, self.noise, self.seed, self.blurs = mosaic, noise, seed, blurs
-        self.table = blank = start_table(mosaic, radii, noise)
-        levels, taps = len(noise), len(diamond(radii[0]))
+        self.choices = choices
+        self.table = blank = start_table(mosaic, choices, noise)
+        self.mix, self.response = channel_mix(mosaic)
+        levels, taps, channels = len(noise), len(diamond(choices.radii[0])), len(blank.channels)
         self.first = (
             np.zeros((levels, blank.positions, taps, taps)),
-            np.zeros((levels, blank.positions, taps, 3)),
+            np.zeros((levels, blank.positions, taps, channels)),
         )
         count, terms = blank.orbits.count, blank.second.shape[-1]
-        self.second = np.zeros((levels, count, terms, terms)), np.zeros((levels, count, terms, 3))
+        self.second = (
+            np.zeros((levels, count, terms, terms)),
+            np.zeros((levels, count, terms, channels)),
+        )
         self.histogram = np.zeros((levels, len(GRID) + 1))
 
     def frames(self, photograph, number):
-        """Yield the frames of a photograph: raw, wanted (3, rows, cols), code, noise level, weight."""
+        """Yield the frames of a photograph: raw, wanted (C, rows, cols), code, noise level, weight."""
         random = np.random.default_rng((self.seed, number))
         encoded = np.moveaxis(np.asarray(photograph, float), 2, 0) / 255
+        mix = self.mix.copy()
+        for at in np.flatnonzero(np.array(self.table.channels) == "N"):
+            mix[at] = random.dirichlet((1, 1, 1))
         copies = [(blur, 1.0) for blur in (self.blurs if number % 2 == 0 else self.blurs[:1])]
         if number % 3 == 1:
             copies.append((self.blurs[0], SATURATION))
         for blur, saturation in copies:
             grey = encoded.mean(axis=0)
             vivid = np.clip(grey + saturation * (encoded - grey), 0, 1)
-            soft = blur_planes(decode_srgb(vivid), blur)
+            soft = np.tensordot(mix, blur_planes(decode_srgb(vivid), blur), 1)
             weight = BLURRED if blur else 1.0
             for level, sigma in enumerate(self.noise):
                 if sigma == 0:
                     wanted = encode_srgb(soft)
-                    raw = sample_mosaic(255 * wanted, self.mosaic)
-                    yield raw, wanted, Code("linear", 0.0, 1 / 255), level, weight
+                    raw = self._sample(255 * wanted)
+                    code = MosaicCode("linear", 0.0, 1 / 255, mosaic=self.mosaic)
+                    yield raw, wanted, code, level, weight
                 elif blur <= NOISY_BLUR:
-                    code = electron_code(sigma)
-                    raw = random.poisson(sample_mosaic(soft, self.mosaic) / code.scale)
+                    code = self._code(sigma)
+                    electrons = soft * self.response[:, None, None] / code.scale
+                    raw = random.poisson(self._sample(electrons))
                     raw = raw + random.normal(0, READ, raw.shape)
-                    yield raw, code.encode(soft / code.scale) / code.white, code, level, weight
+                    own = np.array([code.factors[letter] for letter in self.table.channels])
+                    wanted = code.encode(electrons) * own[:, None, None] / code.white
+                    yield raw, wanted, code, level, weight
+
+    def _sample(self, planes):
+        return sample_mosaic(planes, self.mosaic, self.table.channels)
+
+    def _code(self, sigma):
+        """Return the code of electrons of noise `sigma`, balanced."""
+        letters = self.table.channels
+        balances = dict(zip(letters, (1 / self.response).tolist(), strict=True))
+        mean = np.mean([balances[letter] for letter in "".join(self.mosaic)])
+        plain = electron_code(sigma / np.sqrt(mean))
+        return MosaicCode(
+            "root",
+            0.0,
+            plain.scale,
+            plain.noise,
+            mosaic=self.mosaic,
+            balances=tuple(balances.items()),
+        )
 
     def add_first(self, photograph, number):
         """Count a photograph for the first filters."""
@@ -167,7 +222,7 @@ class Training:
     def _inside(self, raw, wanted):
         inside = np.s_[BORDER : raw.shape[0] - BORDER, BORDER : raw.shape[1] - BORDER]
         places = positions(self.table, raw.shape)[inside].ravel()
-        return places, wanted[:, *inside].reshape(3, -1).T.astype(np.float32)
+        return places, wanted[:, *inside].reshape(len(wanted), -1).T.astype(np.float32)
 
     def solve_first(self):
         """Solve for the first filters."""
@@ -176,8 +231,9 @@ class Training:
         for level, p in np.ndindex(out.shape[:2]):
             a, b = (part[level, p] for part in self.first)
             unit = FIRST_RIDGE * np.trace(a) / len(a)
-            out[level, p] = solve_ridge(a, b, unit, None, (colors[p].T, np.eye(3))).T
-        self.table = replace(self.table, first=round_filters(out * FINEST_FIRST, colors))
+            out[level, p] = solve_ridge(a, b, unit, None, (colors[p].T, np.eye(colors.shape[-1]))).T
+        shared = average_places(out * FINEST_FIRST, self.mosaic)
+        self.table = replace(self.table, first=round_filters(shared, colors))
 
     def _pictures(self, raw, code, level):
         whole = codes_of(raw, code, self.table, (0, 0))
@@ -189,9 +245,9 @@ class Training:
             return
         for raw, _, code, level, weight in self.frames(photograph, number):
             _, pictures = self._pictures(raw, code, level)
-            light = pictures[0] + 2 * pictures[1] + pictures[2]
+            light = light_of(pictures, self.table)
             across, down = (contrast(light, self.table, *way) for way in WAYS[:2])
-            unit = 8 * steps_of(code) * code.white * (2 * BOX + 1) ** 2
+            unit = 2 * self.table.lights * steps_of(code) * code.white * (2 * BOX + 1) ** 2
             found = np.searchsorted(GRID, (across + down).ravel() / unit)
             self.histogram[level] += weight * np.bincount(found, minlength=len(GRID) + 1)
 
@@ -199,7 +255,7 @@ class Training:
         """Find the floor and the bounds of strengths of every noise level."""
         parts = np.cumsum(self.histogram, axis=1) / self.histogram.sum(axis=1, keepdims=True)
         bounds = np.array(
-            [np.interp((FLOOR, *QUANTILES), part[: len(GRID)], GRID) for part in parts]
+            [np.interp((FLOOR, *self.choices.quantiles), part[: len(GRID)], GRID) for part in parts]
         )
         floor = np.maximum(bounds[:, 0], LEAST_FLOOR)
         self.table = replace(self.table, floor=floor, strengths=bounds[:, 1:])
@@ -233,7 +289,7 @@ class Training:
         out = np.zeros(table.second.shape)
         for level in range(len(self.noise)):
             for p in np.unique(orbits.positions):
-                limit = table.term_colors[p].T, np.eye(3)
+                limit = table.term_colors[p].T, np.eye(len(table.channels))
                 some = np.flatnonzero(orbits.positions == p)
                 a, b = (part[level, some].sum(axis=0) for part in self.second)
                 unit = RIDGE * np.trace(a) / len(a) / len(some)
@@ -244,7 +300,8 @@ class Training:
                 if self.noise[level] == 0:
                     o, own = self._own(p)
                     out[level, some, o] = own
-        whole = round_filters(out * FINEST, table.term_colors[orbits.positions])
+        step = self.choices.step
+        whole = step * round_filters(out * FINEST / step, table.term_colors[orbits.positions])
         return replace(table, second=whole, provenance=provenance)
 
     def _own(self, position):
@@ -255,20 +312,31 @@ class Training:
         return channel, np.arange(self.table.second.shape[-1]) == at
 
 
-def train_files(mosaic: Sequence[str], sources: dict[Path, str], path: Path) -> None:
+def average_places(first, mosaic) -> np.ndarray:
+    """Return first filters (N, P, C, T) with one mean for places that a shift of the mosaic exchanges."""
+    same = [
+        places
+        for places, transpose, signs, _ in symmetries(mosaic)
+        if not transpose and (signs == 1).all()
+    ]
+    return np.mean([first[:, places] for places in same], axis=0)
+
+
+def train_files(mosaic: Sequence[str], sources: dict[Path, str], path: Path, **options) -> None:
     """Write the table of a mosaic, trained on the middle of photographs and some charts.
 
     Args:
         mosaic: One period, a text per row.
         sources: Source of each photograph by its file, for the provenance; 8 bits in sRGB.
         path: The table's file.
+        options: As for `Training`.
 
     Raises:
         BadFile: A photograph cannot be read or has another form.
     """
     pictures = [_middle(read_rgb(file)) for file in sources] + list(map(draw_chart, range(CHARTS)))
     names = [*sources.values(), *(f"chart deadleaves, seed {seed}" for seed in range(CHARTS))]
-    write_guided(path, train(mosaic, pictures, names))
+    write_guided(path, train(mosaic, pictures, names, **options))
 
 
 def draw_chart(seed: int, size: int = SIZE) -> np.ndarray:
@@ -308,6 +376,7 @@ def train(
             step(photograph, number)
         if end:
             end()
+    responses = zip(training.table.channels, training.response.tolist(), strict=True)
     record = {
         "program": f"gpusim {__version__}, gpusim.apps.l3.guided",
         "date": f"{datetime.date.today()}",
@@ -318,5 +387,6 @@ def train(
         "blur [pixel]": list(training.blurs),
         "saturation of every third": SATURATION,
         "weight of blurred frames": BLURRED,
+        "responses to white": dict(responses),
     }
     return training.solve_second(json.dumps(record))

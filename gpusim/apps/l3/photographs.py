@@ -110,12 +110,12 @@ def electron_code(sigma):
     return Code("root", 0.0, 1 / white, (1.0, READ))
 
 
-def sample_mosaic(planes, mosaic=MOSAIC):
-    """Planes (3, rows, cols) of R, G, B seen through a mosaic, rows of letters, (rows, cols)."""
+def sample_mosaic(planes, mosaic=MOSAIC, channels="RGB"):
+    """Planes (C, rows, cols) of `channels` seen through a mosaic, rows of letters, (rows, cols)."""
     raw = np.empty(planes.shape[1:], planes.dtype)
     rows, cols = len(mosaic), len(mosaic[0])
     for row, col in np.ndindex(rows, cols):
-        raw[row::rows, col::cols] = planes["RGB".index(mosaic[row][col]), row::rows, col::cols]
+        raw[row::rows, col::cols] = planes[channels.index(mosaic[row][col]), row::rows, col::cols]
     return raw
 
 
