@@ -52,6 +52,31 @@ def bench_mosaic(seed: int, rows: int, cols: int) -> dict:
     return {"raw": raw, "black_level": 64.0, "scale": 1 / 959}
 
 
+def moving_picture(
+    random: np.random.Generator, shifts: np.ndarray, rows: int, cols: int, smooth: int
+) -> np.ndarray:
+    """Return frames of a random picture with noise, uint16 (frames, rows, cols).
+
+    Args:
+        random: Random numbers.
+        shifts: Whole shifts of the frames [pixel], shape (frames, 2).
+        rows: Rows of a frame.
+        cols: Columns of a frame.
+        smooth: Number of times that neighbours are averaged.
+    """
+    margin = 2 * int(np.abs(shifts).max()) + 2
+    picture = random.random((rows + 2 * margin, cols + 2 * margin))
+    for _ in range(smooth):
+        picture = (picture + np.roll(picture, 1, 0)) / 2
+        picture = (picture + np.roll(picture, 1, 1)) / 2
+    picture = 200 + 3000 * (picture - picture.min()) / np.ptp(picture)
+    seen = [
+        picture[margin + dy : margin + dy + rows, margin + dx : margin + dx + cols]
+        for dy, dx in shifts
+    ]
+    return np.rint(seen + random.normal(0, 20, (len(shifts), rows, cols))).astype(np.uint16)
+
+
 def gaussian_tables(widths: np.ndarray, period: tuple[int, int]) -> np.ndarray:
     """Return quarter tables of the transfer functions of Gaussian kernels, float64.
 

@@ -40,6 +40,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.kernels.common.cases import moving_picture
 from gpusim.kernels.stage import Array, Case, dtype_name, is_opencl_cpu, stage, warp_only
 
 TILE = 16  # rows and columns of blocks
@@ -151,21 +152,6 @@ def checked_stack(raw, reference, period):
         raise OutOfRange("period", period, "whole numbers of rows and columns, 1 .. 8")
 
 
-def _moving_picture(random, shifts, rows, cols, smooth):
-    """Return a random picture seen from `shifts` [pixel], with noise."""
-    margin = 2 * int(np.abs(shifts).max()) + 2
-    picture = random.random((rows + 2 * margin, cols + 2 * margin))
-    for _ in range(smooth):
-        picture = (picture + np.roll(picture, 1, 0)) / 2
-        picture = (picture + np.roll(picture, 1, 1)) / 2
-    picture = 200 + 3000 * (picture - picture.min()) / np.ptp(picture)
-    seen = [
-        picture[margin + dy : margin + dy + rows, margin + dx : margin + dx + cols]
-        for dy, dx in shifts
-    ]
-    return np.rint(seen + random.normal(0, 20, (len(shifts), rows, cols))).astype(np.uint16)
-
-
 def cases():
     """Yield cases.
 
@@ -184,11 +170,11 @@ def cases():
         ((2, 2), 150, 140, [(0, 0), (21, -33)]),
         ((4, 1), 64, 16, [(0, 0), (2, 1)]),
     ):
-        raw = _moving_picture(random, np.array(shifts), rows, cols, 4 * max(period))
+        raw = moving_picture(random, np.array(shifts), rows, cols, 4 * max(period))
         inputs = {"raw": raw, "period": period, "reference": shifts.index((0, 0))}
         name = f"{len(shifts)} frames {rows}x{cols}, period {period}"
         yield Case(name, inputs, 2e-4, why, metric="exact")
-    raw = _moving_picture(random, np.array([(0, 0), (6, 6)]), 70, 70, 8)
+    raw = moving_picture(random, np.array([(0, 0), (6, 6)]), 70, 70, 8)
     yield Case("one level", {"raw": raw, "levels": 1}, 2e-4, why, metric="exact")
     raw = np.full((2, 40, 40), 65535, np.uint16)
     raw[1, 20:] = 0
@@ -198,4 +184,4 @@ def cases():
 def bench(rows, cols):
     """Return inputs: eight frames of a Bayer mosaic."""
     random = np.random.default_rng(8)
-    return {"raw": _moving_picture(random, random.integers(-20, 21, (8, 2)), rows, cols, 8)}
+    return {"raw": moving_picture(random, random.integers(-20, 21, (8, 2)), rows, cols, 8)}
