@@ -5,37 +5,33 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from gpusim.captures.merged_frame import develop_merged, host_pictures
+from gpusim.captures.merged_frame import develop_merged, host_pictures, pick_mosaic
+from gpusim.captures.merging import (
+    check_frames,
+    defect_method,
+    find_full,
+    merge_tables,
+    replace_defects,
+)
+from gpusim.captures.regression import ALIGNED, Views, checked_enlargement, is_demosaicked
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
-from gpusim.domain.sensor import FLOAT_BITS
-from gpusim.kernels.processor.align import TILE, align, checked_stack
-from gpusim.kernels.processor.average import average
-from gpusim.kernels.processor.defects import defects
+from gpusim.kernels.processor.align import checked_stack
 from gpusim.kernels.processor.flash import flash as with_flash
 from gpusim.kernels.processor.merge import MOST_FRAMES, merge
-from gpusim.measure.merge import full_value
-from gpusim.pipeline.developer import CLIPPED, STANDS_OUT, Developer
-from gpusim.pipeline.exposure import HOT
+from gpusim.kernels.processor.regress import MOST_FRAMES as MOST_FITTED
+from gpusim.pipeline.developer import CLIPPED, Developer
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.simulator import Simulator
 
-# fields of a sensor that frames of one camera have in common
-COMMON_FIELDS = (
-    "channels",
-    "cfa",
-    "stacked",
-    "bits",
-    "black_level",
-    "pixel_pitch",
-    "full_well",
-    "noise",
-)
-
 
 def merge_bracket(
-    simulator: Simulator, frames: Iterable[Frame], *, full_scale: float | None = None
+    simulator: Simulator,
+    frames: Iterable[Frame],
+    *,
+    full_scale: float | None = None,
+    align: bool = True,
 ) -> Frame:
     """Merge frames with different exposure times into one high dynamic range picture.
 
@@ -46,14 +42,18 @@ def merge_bracket(
     camera replaces defective pixels, this is done in every frame before the merge; known ones are
     detected instead if the map is not the simulator's or pixels are binned.
 
-    Frames are not aligned: they must show the same scene from the same place. A shake of 5 and 7
-    pixels lowers 39 dB to 25 dB.
+    Frames are aligned to the one of middle exposure, as rates, without full pixels. If the camera
+    moved between them, the picture is made as by `merge_burst`, by kernel regression of all
+    samples. Blocks of a frame that show something else than the reference by more than noise
+    explains are left out: moving objects appear once. Any order of exposures is allowed, also
+    repeated ones, such as short, long, short.
 
     Args:
         simulator: simulator of the camera.
         frames: 2 to 16 frames of one camera and size, as digital numbers, in any order and with any analog gains.
         full_scale: largest rate that the merged raw values hold [e- s-1]; None is the largest that
             any frame holds.
+        align: False merges pixel by pixel, without alignment and with no look at what moves.
 
     Returns:
         A frame as of the longest exposure with an unlimited well. `mean` is the merged electrons,
@@ -68,8 +68,8 @@ def merge_bracket(
             hides which are full.
         OutOfRange: if an exposure time or full_scale is out of range.
     """
-    frames = _check_frames("merge_bracket", frames, MOST_FRAMES)
-    tables = _merge_tables(frames, simulator.readout.averaged)
+    frames = check_frames("merge_bracket", frames, MOST_FRAMES)
+    tables = merge_tables(frames, simulator.readout.averaged)
     order = np.argsort(
         -(tables["ceiling"] - tables["dark"]) / tables["gain"] / tables["time"], kind="stable"
     )
@@ -85,25 +85,36 @@ def merge_bracket(
             "merge_bracket: every pixel is full in the frame that holds the largest rate, of "
             f"{times[0]:.4g} s; take a shorter exposure"
         )
-    period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
-    device = simulator.device
-    has_photon_noise = sensor.noise.photon != "none"
+    middle = len(frames) // 2
+    shown = frames[middle]
+    device, planes = simulator.device, None
+    stages = {}
     with device.timed() as ms:
-        raw = _replace_defects(simulator, frames)
+        raw = replace_defects(simulator, frames)
         each = (-1, *[1] * (raw.ndim - 1))
         ceiling = np.ceil(tables["ceiling"]).astype(raw.dtype).reshape(each)
-        raw = np.where(_find_full("merge_bracket", frames), ceiling, raw)
-        rates = []
-        for layer in raw.reshape(len(frames), -1, *raw.shape[-2:]).swapaxes(0, 1):
-            stack = device.array(np.ascontiguousarray(layer), np.uint16)
-            rate = merge(stack, **tables, period=period, photon=has_photon_noise, device=device)
-            rates.append(device.numpy(rate))
-        rate = np.stack(rates).reshape(raw.shape[1:])
+        raw = np.where(find_full("merge_bracket", frames), ceiling, raw)
+        if align:
+            views = _views(simulator, frames, raw, middle)
+            displacement = views.align()
+            stages = dict(ALIGNED)
+            if views.is_whole(displacement) or not is_demosaicked(shown):
+                raw = _fill_missing(*views.move(raw, displacement), middle, tables)
+            else:
+                develop = _demosaicker(simulator, shown)
+                planes, fitted = views.merge(displacement, _white_rates(shown), develop)
+                model = f"{fitted} of {len(frames)} exposures, weighted by inverse variance"
+                stages["processor.regress"] = model
+        if planes is None:
+            rate = _merge_rates(device, raw, tables, sensor)
+            span = f"{times.min():.4g} .. {longest:.4g} s"
+            model = f"{len(frames)} exposures, {span}, to rates, weighted by inverse variance"
+            stages["processor.merge"] = model
+        else:
+            rate = pick_mosaic(planes, sensor)
+            planes = planes * np.float32(longest)
     # [e- in the longest exposure]
     dark_noise = float((np.square(times / longest) / tables["floor"]).sum() ** -0.5)
-    shown = frames[len(frames) // 2]
-    span = f"{times.min():.4g} .. {longest:.4g} s"
-    model = f"{len(frames)} exposures, {span}, to rates, weighted by inverse variance"
     return develop_merged(
         simulator,
         shown,
@@ -113,39 +124,68 @@ def merge_bracket(
         saturated=limit / full_scale,
         ratio=shown.exposure_time / longest,
         dark_noise=dark_noise,
-        defects=_defect_method(simulator, frames),
+        defects=defect_method(simulator, frames),
         ms=ms,
-        stages={"processor.merge": model},
+        stages=stages,
+        planes=planes,
     )
 
 
-def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int = 0) -> Frame:
+def _merge_rates(device, raw, tables, sensor):
+    """Return rates [e- s-1] of frames (n, ...) pixel by pixel, see `processor.merge`."""
+    period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
+    has_photon_noise = sensor.noise.photon != "none"
+    rates = []
+    for layer in raw.reshape(len(raw), -1, *raw.shape[-2:]).swapaxes(0, 1):
+        stack = device.array(np.ascontiguousarray(layer), np.uint16)
+        rate = merge(stack, **tables, period=period, photon=has_photon_noise, device=device)
+        rates.append(device.numpy(rate))
+    return np.stack(rates).reshape(raw.shape[1:])
+
+
+def merge_burst(
+    simulator: Simulator, frames: Iterable[Frame], *, reference: int = 0, enlarge: float = 1.0
+) -> Frame:
     """Merge frames with equal exposure into one picture with less noise, aligned to a reference.
 
-    Tiles of 16 x 16 periods of the mosaic are searched in every frame (`processor.align`), moved
-    onto the reference and averaged. Blocks of one period get weight 0 if they differ by more than
-    noise explains (`processor.average`): moving objects appear as in the reference, without ghosts
-    and with its noise. A tile moves only if noise does not explain the difference: at rest the
-    variance is 1 / n of one frame's, within 2 %, on flat fields and sharp edges, for 2 to 16
-    frames, 20 to 2000 electrons and periods of 1 to 6 pixels. Defective pixels are handled as by
-    `merge_bracket`.
+    The displacement of every frame is found to hundredths of a pixel (`processor.align`,
+    `processor.refine`). A shaken camera's samples fall between each other: the picture is then
+    fitted to the raw samples of all frames, with kernels that follow edges and widen with the noise
+    (`processor.regress`). This takes the place of the camera's demosaicking.
+
+    If the displacements are whole periods of the mosaic, as of a camera at rest, or give few
+    fractions of a pixel (two frames half a period apart), samples are averaged instead
+    (`processor.average`) and demosaicked by the camera. Then the variance is 1 / n of one frame's,
+    within 2 %, on flat fields and sharp edges, for 2 to 16 frames, 20 to 2000 electrons and periods
+    of 1 to 6 pixels. So are more than 64 frames, and those of cameras with their own table of
+    filters.
+
+    Blocks of one period get weight 0 if they differ from the reference by more than noise explains
+    (`processor.trust`): moving objects appear as in the reference, without ghosts and with its
+    noise. Defective pixels are handled as by `merge_bracket`.
 
     Args:
         simulator: simulator of the camera.
         frames: two or more frames of one camera, size, exposure time and gain, as digital numbers.
             Frames of less than 16 periods of the mosaic are aligned as one tile.
         reference: index of the frame that the others are aligned to.
+        enlarge: pixels of the picture per pixel of the camera, along rows and columns, 1 to 3.
+            Above 1 the frames are always fitted, even at rest, where nothing is gained. 1.5 suits
+            eight frames.
 
     Returns:
-        A frame as of n times the exposure time, the sum of n frames without noise correlated among
-        them. `mean` is the collected electrons, float32 (rows, cols) [e-]; `raw` is in 16 bits;
-        `linear` is as bright as the reference.
+        A frame as of n times the exposure time, the sum of n frames. `mean` is the collected
+        electrons, float32 (rows, cols) [e-]; `raw` is in 16 bits; `linear` is as bright as the
+        reference. Of fitted frames, `mean` and `raw` are the mosaic's part of a picture of all
+        channels, from which `linear` is developed; their noise is less than the camera's sensor
+        says, and correlated among neighbours.
 
     Raises:
         BadData: if the frames do not fit together.
-        OutOfRange: if an exposure time or the reference is out of range.
+        OutOfRange: if an exposure time, the reference or `enlarge` is out of range, or a camera with
+            its own table of filters is asked to enlarge.
     """
-    frames = _check_frames("merge_burst", frames, None)
+    frames = check_frames("merge_burst", frames, None)
     times = np.array([frame.exposure_time for frame in frames])
     sensors = [frame.camera.sensor for frame in frames]
     gains = {sensor.gain_dn_per_electron for sensor in sensors}
@@ -154,71 +194,110 @@ def merge_burst(simulator: Simulator, frames: Iterable[Frame], *, reference: int
             "merge_burst: the frames differ in exposure time or gain; wanted equal ones; use merge_bracket "
             "for different ones"
         )
-    sensor, count = sensors[0], len(frames)
+    sensor, count, shape = sensors[0], len(frames), frames[0].raw.shape
     device, gain = simulator.device, sensor.gain_dn_per_electron
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
-    shape = frames[0].raw.shape
     one_layer = np.stack([frame.raw.reshape(-1, *shape[-2:])[0] for frame in frames])
     checked_stack(one_layer, reference, period)
-    # fixed offsets count as noise, because frames move
-    noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise
-    with device.timed() as ms:
-        # of stacked pixels the brightest layer is aligned, and all move with it
-        raw = _replace_defects(simulator, frames)
-        layers = raw.reshape(count, -1, *shape[-2:]).swapaxes(0, 1)
-        brightest = int(np.argmax([layer.mean() for layer in layers]))
-        stacks = [device.array(np.ascontiguousarray(layer), np.uint16) for layer in layers]
-        aligned = stacks[brightest]
-        if TILE > min(shape[-2] // period[0], shape[-1] // period[1]) > 0:
-            aligned = device.array(_fill_tile(layers[brightest], period), np.uint16)
-        displacement = align(aligned, reference=reference, period=period, device=device)
-        means = [
-            average(
-                stack,
-                displacement,
-                reference=reference,
-                period=period,
-                noise=noise,
-                black_level=sensor.dark_level,
-                device=device,
-            )
-            for stack in stacks
-        ]
-        numbers = np.stack([np.array(device.numpy(mean)) for mean in means]).reshape(shape)
+    checked_enlargement(enlarge, frames[0], count)
+    shown = frames[int(reference)]
     dark = sensor.noise.operating_dark_current * times[0]
-    electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain)
-    electrons = electrons - np.float32(count * dark)
+    with device.timed() as ms:
+        views = _views(simulator, frames, replace_defects(simulator, frames), int(reference))
+        displacement, planes = views.align(), None
+        stages = dict(ALIGNED)
+        can_fit = is_demosaicked(shown) and count <= MOST_FITTED
+        if enlarge > 1 or (can_fit and not views.is_whole(displacement)):
+            develop = _demosaicker(simulator, shown)
+            planes, fitted = views.merge(displacement, _white_rates(shown), develop, enlarge)
+            planes *= np.float32(count * times[0])
+            electrons = pick_mosaic(planes, sensor)
+            size = f", {enlarge:g} x the size" if enlarge > 1 else ""
+            onto = f"{fitted} of {count} frames onto frame {int(reference)}{size}"
+            stages["processor.regress"] = onto
+        else:
+            # fixed offsets count as noise, because frames move
+            noise = Developer(frames[0].camera, device, simulator.readout.averaged).noise
+            numbers = views.average(displacement, noise, sensor.dark_level).reshape(shape)
+            electrons = (numbers - np.float32(sensor.dark_level)) * np.float32(count / gain)
+            electrons = electrons - np.float32(count * dark)
+            del stages["processor.trust"]
+            stages["processor.average"] = f"{count} frames, moved onto frame {int(reference)}"
     full = (sensor.white_level - sensor.dark_level) / gain
     variance = RawNoise.of(sensor, simulator.readout.averaged).variance(dark)
     dark_noise = float(np.sqrt(count * variance))
     return develop_merged(
         simulator,
-        frames[int(reference)],
+        shown,
         electrons,
         exposure_time=count * times[0],
         full=count * full,
         saturated=sensor.saturation / full,
         ratio=1 / count,
         dark_noise=dark_noise,
-        defects=_defect_method(simulator, frames),
+        defects=defect_method(simulator, frames),
         ms=ms,
-        stages={
-            "processor.align": "tiles of 16 x 16 periods of the mosaic, by a pyramid",
-            "processor.average": f"{count} frames, moved onto frame {int(reference)}",
-        },
+        stages=stages,
+        planes=planes,
+        enlarge=enlarge,
     )
 
 
-def _fill_tile(layer, period):
-    """Return frames (n, rows, cols) in which the outermost periods repeat, up to one tile at least."""
-    places = []
-    for size, length in zip(layer.shape[-2:], period, strict=True):
-        whole = max(size // length, 1)
-        at = np.arange(max(size, TILE * length))
-        last = np.minimum(at // length, whole - 1) * length + at % length
-        places.append(np.where(at < size, at, last))
-    rows, cols = places
-    return np.ascontiguousarray(layer[:, rows[:, None], cols])
+def _views(simulator, frames, raw, reference):
+    """Return frames as `Views`. raw: their digital numbers, defects replaced."""
+    sensor = frames[0].camera.sensor
+    tables = merge_tables(frames, simulator.readout.averaged)
+    noise = RawNoise.of(sensor, simulator.readout.averaged)
+    time = tables["time"]
+    table = [
+        tables["dark"],
+        1 / (tables["gain"] * time),
+        noise.photons / noise.averaged / time,
+        tables["floor"] / time**2,
+        tables["ceiling"],
+    ]
+    layers = raw.reshape(len(raw), -1, *raw.shape[-2:]).swapaxes(0, 1)
+    cfa = np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices
+    return Views(simulator.device, layers, reference, cfa, np.array(table))
+
+
+def _demosaicker(simulator, frame):
+    """Return the function that demosaicks digital numbers as a frame's camera does, for `Views.merge`."""
+    camera, device = frame.camera, simulator.device
+    processor = dataclasses.replace(camera.processor, defects="none", denoise=0.0, shading=False)
+    plain = dataclasses.replace(camera, processor=processor)
+    developer = Developer(plain, device, simulator.readout.averaged)
+
+    def develop(mosaic):
+        mosaic = device.array(np.ascontiguousarray(mosaic), np.uint16)
+        values = developer.demosaic(mosaic, white=frame.rendering.neutral, blur=frame.blur)
+        return np.array(device.numpy(values))
+
+    return develop
+
+
+def _white_rates(frame):
+    """Return the rates [e- s-1] of display white in each channel of a frame's camera."""
+    sensor, rendering = frame.camera.sensor, frame.rendering
+    full = (sensor.white_level - sensor.dark_level) / sensor.gain_dn_per_electron
+    return rendering.neutral * rendering.white * full / frame.exposure_time
+
+
+def _fill_missing(raw, missing, reference, tables):
+    """Return raw values of which the parts that a frame does not have count no more.
+
+    They count as full. The frame that holds the largest rate, the first, is always used: it takes
+    the reference's rate, unless that is full too. missing: bool (frames, rows, cols).
+    """
+    dark, gain, time, ceiling = (tables[name] for name in ("dark", "gain", "time", "ceiling"))
+    rate = (raw[reference] - dark[reference]) / gain[reference] / time[reference]
+    same = np.clip(np.rint(rate * gain[0] * time[0] + dark[0]), 0, None)
+    same = np.where(raw[reference] < ceiling[reference], same, raw[0])
+    for i, values in enumerate(raw):
+        if i != reference:
+            filled = np.ceil(ceiling[i]) if i else same
+            values[...] = np.where(missing[i], filled, values).astype(raw.dtype)
+    return raw
 
 
 def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
@@ -242,9 +321,9 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
             which pixels are full.
         OutOfRange: if an exposure time is out of range.
     """
-    frames = _check_frames("merge_reads", frames, MOST_FRAMES)
+    frames = check_frames("merge_reads", frames, MOST_FRAMES)
     averaged = simulator.readout.averaged
-    tables = _merge_tables(frames, averaged)
+    tables = merge_tables(frames, averaged)
     times, sensor = tables["time"], frames[0].camera.sensor
     if (np.diff(times) <= 0).any():
         raise BadData(
@@ -252,10 +331,10 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
         )
     device, period = simulator.device, (1, 1) if sensor.stacked else sensor.cfa_indices.shape
     with device.timed() as ms:
-        raw = _replace_defects(simulator, frames)
+        raw = replace_defects(simulator, frames)
         gain, dark, full = (tables[name][:, None, None] for name in ("gain", "dark", "ceiling"))
         charges = raw.reshape(len(frames), -1, raw.shape[-1])
-        usable = (charges < full) & ~_find_full("merge_reads", frames).reshape(charges.shape)
+        usable = (charges < full) & ~find_full("merge_reads", frames).reshape(charges.shape)
         usable = np.logical_and.accumulate(usable, axis=0).sum(axis=0)
         charges = (charges - dark) / gain
         # without the photons' part, which `_slope_weights` adds
@@ -289,26 +368,10 @@ def merge_reads(simulator: Simulator, frames: Iterable[Frame]) -> Frame:
         ratio=1.0,
         dark_noise=last
         * float(noise * np.square(np.diff(weights, prepend=0, append=0)).sum()) ** 0.5,
-        defects=_defect_method(simulator, frames),
+        defects=defect_method(simulator, frames),
         ms=ms,
         stages={"processor.merge": f"slope of {len(frames)} reads, 0 .. {last:.4g} s"},
     )
-
-
-def _find_full(function, frames):
-    """Return which values are known to have a full pixel among those averaged, bool (frames, ...).
-
-    Raises BadData if it is not known.
-    """
-    found = []
-    for frame in frames:
-        if frame.averaged > 1 and frame.full is None:
-            raise BadData(
-                f"{function}: digital binning hides full pixels, and the frames do not tell; merge frames of a "
-                'simulator, or use sensor.binning_mode = "charge" or no binning'
-            )
-        found.append(np.zeros(frame.raw.shape, bool) if frame.full is None else frame.full)
-    return np.stack(found)
 
 
 def _slope_weights(times, noise, rate):
@@ -361,7 +424,7 @@ def merge_flash(
         BadData: if the frames do not fit together or have NaN or infinite values.
         OutOfRange: if an exposure time, the radius or the reach is out of range.
     """
-    ambient, flash = _check_frames("merge_flash", [ambient, flash], None)
+    ambient, flash = check_frames("merge_flash", [ambient, flash], None)
     for name, frame in (("ambient", ambient), ("flash", flash)):
         if not np.isfinite(frame.linear).all():
             raise BadData(f"merge_flash: the {name} picture has NaN or infinite values")
@@ -390,103 +453,6 @@ def merge_flash(
     )
     report = dataclasses.replace(ambient.report, stages=[*stages, by_flash, encoding])
     return dataclasses.replace(ambient, linear=linear, rgb=rgb, report=report)
-
-
-def _check_frames(function, frames, most) -> list[Frame]:
-    """Return frames as a list; raise BadData or OutOfRange unless they are of one camera."""
-    try:
-        frames = list(frames)
-    except TypeError:
-        raise BadData(f"{function}: {frames!r}; wanted a list of gpusim frames") from None
-    for number, frame in enumerate(frames):
-        if not isinstance(frame, Frame):
-            raise BadData(
-                f"{function}: frame {number} is of type {type(frame).__name__}; wanted a gpusim frame, "
-                "from Simulator.frames or gpusim.bracket"
-            )
-    if len(frames) < 2 or (most and len(frames) > most):
-        raise BadData(
-            f"{function}: {len(frames)} frame(s); wanted two{f' to {most}' if most else ' or more'}"
-        )
-    first = frames[0]
-    for number, frame in enumerate(frames):
-        sensor = frame.camera.sensor
-        if sensor.bits == FLOAT_BITS:
-            raise BadData(
-                f"{function}: frame {number} has no converter (float raw values); wanted sensor.bits 1 .. 16"
-            )
-        if not 0 < frame.exposure_time < np.inf:
-            raise OutOfRange(
-                f"exposure_time of frame {number}",
-                f"{frame.exposure_time} s",
-                "0 < exposure_time < inf",
-            )
-        if np.shape(frame.raw) != np.shape(first.raw) or frame.raw.dtype != np.uint16:
-            raise BadData(
-                f"{function}: frame {number} has raw values {np.shape(frame.raw)} of {frame.raw.dtype}; "
-                f"wanted uint16 of the shape of frame 0, {np.shape(first.raw)}"
-            )
-        for key in COMMON_FIELDS:
-            if getattr(sensor, key) != getattr(first.camera.sensor, key):
-                raise BadData(
-                    f"{function}: frame {number} is of another camera than frame 0: sensor.{key} differs"
-                )
-    return frames
-
-
-def _merge_tables(frames, averaged):
-    """Return the parameters of each frame that `processor.merge` takes.
-
-    averaged: as for `Developer`. The weights of averaged pixels take the photons' noise of one.
-    """
-    rows = []
-    for frame in frames:
-        sensor, time = frame.camera.sensor, frame.exposure_time
-        noise = RawNoise.of(sensor, averaged)
-        gain = sensor.gain_dn_per_electron
-        dark = sensor.noise.operating_dark_current * time
-        ceiling = full_value(sensor)
-        rows.append((sensor.dark_level + gain * dark, gain, time, noise.variance(dark), ceiling))
-    return dict(zip(("dark", "gain", "time", "floor", "ceiling"), np.array(rows).T, strict=True))
-
-
-def _defect_method(simulator: Simulator, frames):
-    """Return how defective pixels are found.
-
-    The chip's map is used only if it is the simulator's and pixels are not binned.
-    """
-    method, sensor = frames[0].camera.processor.defects, simulator.camera.sensor
-    mapped = sensor.binning == (1, 1) and sensor.noise == frames[0].camera.sensor.noise
-    return "detect" if method == "known" and not mapped else method
-
-
-def _replace_defects(simulator: Simulator, frames):
-    """Return the raw values of all frames, defects replaced if the camera does so.
-
-    This happens before the merge: merged values have other noise than their electrons, and moved
-    ones fit no map of the chip.
-    """
-    raw = np.stack([frame.raw for frame in frames])
-    how, device, shape = _defect_method(simulator, frames), simulator.device, raw.shape[1:]
-    if how == "none":
-        return raw
-    for frame, layers in zip(frames, raw.reshape(len(frames), -1, *shape[-2:]), strict=True):
-        sensor, known = frame.camera.sensor, None
-        if how == "known":
-            known = simulator.readout.defects(shape, frame.exposure_time, HOT * sensor.read_sigma)
-        maps = [None] * len(layers) if known is None else known.reshape(layers.shape)
-        for layer, map_ in zip(layers, maps, strict=True):
-            replaced = defects(
-                device.array(layer, np.uint16),
-                map_,
-                cfa=np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices,
-                detect=STANDS_OUT if how == "detect" else None,
-                black_level=sensor.dark_level,
-                noise=Developer(frame.camera, device, simulator.readout.averaged).noise,
-                device=device,
-            )
-            layer[:] = device.numpy(replaced)
-    return raw
 
 
 def _display_noise(frame, averaged=1):

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 
 from gpusim.domain.raw_noise import ROUNDING
+from gpusim.kernels.processor.sharpen import REACH
 from gpusim.pipeline.developer import Developer
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
@@ -20,7 +21,7 @@ COLOURS = (  # stages that make linear display RGB, and those behind
 PEDESTAL, TOP = 1024, 65535  # black and largest value of merged raw values [DN]
 FINER = 256  # finer scale of dark parts if 16 bits are too coarse for them
 COARSE = 0.1  # rounding variance relative to dark noise above which the finer scale is used
-REACH = 16  # [pixel] reach of demosaicking
+SEEN = 16  # [pixel] reach of demosaicking
 # noise of one frame: merged values have all that is left of it as read noise
 MERGED_NOISE = "dark_current", "reset", "adc", "row", "column", "dsnu", "row_dsnu", "column_dsnu"
 
@@ -38,6 +39,8 @@ def develop_merged(
     defects,
     ms,
     stages,
+    planes=None,
+    enlarge=1.0,
 ):
     """Return a frame of merged electrons.
 
@@ -45,7 +48,8 @@ def develop_merged(
     largest raw value. saturated: saturation of the frames relative to it. ratio: the frame's
     exposure time over the merged one's. dark_noise: standard deviation without light [e-]. defects:
     how they were found. ms: milliseconds per stage of the merge. stages: stages of the merge ->
-    their report lines.
+    their report lines. planes: electrons of all channels (C, rows, cols) of a merge that has
+    demosaicked; None: the camera does it. enlarge: pixels per pixel of the camera.
     """
     device, old, processor_before = simulator.device, frame.camera.sensor, frame.camera.processor
     averaged, shading = simulator.readout.averaged, frame.shading
@@ -55,42 +59,63 @@ def develop_merged(
     )
     processor = dataclasses.replace(processor_before, defects="none", shading=shading is not None)
 
+    cells = old if planes is None else dataclasses.replace(old, stacked=True)
+    gains = shading
+    if planes is not None:  # all channels of a pixel are developed, and their noise removed, as of stacked pixels
+        plain = {"demosaic": "auto", "network": None, "denoise": processor_before.denoising}
+        layered = dataclasses.replace(processor, **plain)
+        if shading is not None and not old.stacked:
+            gains = shading[np.unique(old.cfa_indices, return_index=True)[1]]
+    kernel = _enlarge_kernel(frame.kernel, enlarge)
+
+    def digitise(electrons, gain):
+        """Return digital numbers of electrons, layers below each other."""
+        numbers = electrons * np.float32(gain) + np.float32(PEDESTAL)
+        return np.rint(np.clip(numbers, 0, TOP)).astype(np.uint16)
+
     def develop_at(full):
         """Return camera, digital numbers, developer and planes if 1 is `full` electrons."""
         gain = (TOP - PEDESTAL) / full
-        sensor = dataclasses.replace(
-            old,
-            bits=16,
-            black_level=PEDESTAL,
-            analog_offset=0.0,
-            gain=gain,
-            analog_gain=1.0,
-            conversion_gain=None,
-            adc_range=None,
-            full_well=full,
-            noise=chip,
+        operated = {
+            "bits": 16,
+            "black_level": PEDESTAL,
+            "analog_offset": 0.0,
+            "gain": gain,
+            "analog_gain": 1.0,
+            "conversion_gain": None,
+            "adc_range": None,
+            "full_well": full,
+            "noise": chip,
+            "pixel_pitch": old.pixel_pitch / enlarge,
+        }
+        camera = dataclasses.replace(
+            frame.camera, sensor=dataclasses.replace(old, **operated), processor=processor
         )
-        camera = dataclasses.replace(frame.camera, sensor=sensor, processor=processor)
-        numbers = electrons * np.float32(gain) + np.float32(PEDESTAL)
-        raw = np.rint(np.clip(numbers, 0, TOP)).astype(np.uint16)
-        developer = Developer(camera, device, averaged, binning=binning)
-        planes = developer.demosaic(
-            device.array(raw.reshape(-1, raw.shape[-1]), np.uint16),
-            shading=shading,
+        raw, shown, cameras = digitise(electrons, gain), electrons, camera
+        if planes is not None:
+            cell = dataclasses.replace(cells, **operated)
+            cameras = dataclasses.replace(camera, sensor=cell, processor=layered)
+            shown = planes
+        developer = Developer(cameras, device, averaged, binning=binning)
+        numbers = digitise(shown, gain)
+        values = developer.demosaic(
+            device.array(numbers.reshape(-1, numbers.shape[-1]), np.uint16),
+            shading=gains,
             white=frame.rendering.neutral,
-            blur=frame.blur,
+            blur=frame.blur * enlarge,
         )
-        return camera, raw, developer, planes
+        return camera, raw, developer, values
 
     with device.timed() as ms_developed:
-        camera, raw, developer, planes = develop_at(full)
+        camera, raw, developer, values = develop_at(full)
         step = full / (TOP - PEDESTAL)
         if step**2 * ROUNDING > COARSE * dark_noise**2:
             fine = device.numpy(develop_at(full / FINER)[-1]) / FINER
             # gains of the shading correction clip earlier
             most = 1.0 if shading is None else max(1.0, float(shading.max()))
-            is_bright = _bright_mask(electrons, full / FINER / most)
-            planes = device.array(np.where(is_bright, device.numpy(planes), fine))
+            light = electrons if planes is None else planes
+            is_bright = _bright_mask(light, full / FINER / most)
+            values = device.array(np.where(is_bright, device.numpy(values), fine))
         # camera value of the frame over the merged one
         k = full * ratio * old.gain_dn_per_electron / (old.white_level - old.dark_level)
         rendering = frame.rendering
@@ -101,7 +126,7 @@ def develop_merged(
             white=rendering.white / k,
             saturation=saturated,
         )
-        shown = developer.finish(planes, rescaled, frame.kernel)
+        shown = developer.finish(values, rescaled, kernel)
         linear, rgb = host_pictures(device, developer, shown)
     first = {}
     if defects != "none":
@@ -111,7 +136,10 @@ def develop_merged(
     taken = {
         name: ms.get(name, 0.0) + ms_developed.get(name, 0.0) for name in {**ms, **ms_developed}
     }
-    report = _replace_stages(frame.report, first | stages | developer.models(), taken)
+    models = developer.models()
+    if planes is not None:  # the merge has demosaicked
+        del models["processor.linear"]
+    report = _replace_stages(frame.report, first | stages | models, taken)
     return Frame(
         camera,
         float(exposure_time),
@@ -121,12 +149,49 @@ def develop_merged(
         linear,
         rgb,
         report,
-        frame.labels,
-        frame.blur,
+        _enlarge_labels(frame.labels, electrons.shape[-2:]),
+        frame.blur * enlarge,
         shading,
         averaged=None,
-        kernel=frame.kernel,
+        kernel=kernel,
     )
+
+
+def pick_mosaic(planes, sensor):
+    """Return the values (rows, cols) that a mosaic on the picture would have; of stacked pixels all."""
+    if sensor.stacked:
+        return planes
+    cfa, (rows, cols) = sensor.cfa_indices, planes.shape[1:]
+    channel = cfa[np.arange(rows)[:, None] % cfa.shape[0], np.arange(cols) % cfa.shape[1]]
+    return np.take_along_axis(planes, channel[None], axis=0)[0]
+
+
+def _enlarge_labels(labels, shape):
+    """Return labels of the pixels of a picture of this shape, each the one of the nearest pixel."""
+    found = {}
+    for name, values in labels.items():
+        rows, cols = values.shape[:2]
+        if (rows, cols) != tuple(shape):
+            at = [
+                np.clip(((np.arange(n) + 0.5) * old / n).astype(int), 0, old - 1)
+                for n, old in zip(shape, (rows, cols), strict=True)
+            ]
+            values = values[np.ix_(*at)]
+        found[name] = values
+    return found
+
+
+def _enlarge_kernel(kernel, enlarge):
+    """Return the camera's own blur in pixels of the enlarged picture; None without any."""
+    if kernel is None or enlarge == 1:
+        return kernel
+    from scipy.ndimage import map_coordinates
+
+    half = [min(int(np.ceil(n // 2 * enlarge)), REACH) for n in kernel.shape]
+    y, x = np.mgrid[-half[0] : half[0] + 1, -half[1] : half[1] + 1] / enlarge
+    middle = [n // 2 for n in kernel.shape]
+    drawn = map_coordinates(kernel, [y + middle[0], x + middle[1]], order=1)
+    return (drawn / drawn.sum()).astype(kernel.dtype)
 
 
 def host_pictures(device, developer, shown):
@@ -159,4 +224,4 @@ def _bright_mask(electrons, limit):
     from scipy.ndimage import maximum_filter
 
     brightest = electrons.reshape(-1, *electrons.shape[-2:]).max(axis=0)
-    return maximum_filter(brightest, 2 * REACH + 1) >= 0.99 * limit
+    return maximum_filter(brightest, 2 * SEEN + 1) >= 0.99 * limit

@@ -2,7 +2,7 @@
 
 Ports: raw (frames, rows, cols) uint16 [DN], displacement (frames, tiles_y, tiles_x, 2) float32
 [period], trusted (frames, h, w) float32 (see `processor.trust`), cfa (period_y, period_x) int32 ->
-planes (C, high, wide) float32 [rate], high = round(zoom rows), wide = round(zoom cols).
+planes (C, high, wide) float32 [rate], high = round(enlarge rows), wide = round(enlarge cols).
 
 Around each place p of the reference, the samples n of all frames are fitted by least squares. The
 displaced frames have samples at many fractions of a pixel, so no mosaic is interpolated: with the
@@ -50,7 +50,7 @@ PEDESTAL = 1e-3
 SLOPE, BEND = 1.0, 10.0  # inverse variances of slopes and bends, of white 1
 ROUNDING = 1e-5  # share by which the diagonal is made larger, for float32
 NEAR = 1  # [pixel] reach of the samples that tell the level
-ZOOMS = 1.0, 3.0
+ENLARGES = 1.0, 3.0
 MOST_FRAMES = 64
 
 
@@ -65,7 +65,7 @@ def regress(
     table: Array,
     balance: Array,
     reference: int = 0,
-    zoom: float = 1.0,
+    enlarge: float = 1.0,
 ) -> Array:
     """Return rates of all channels at every pixel of the reference, or at more places.
 
@@ -78,7 +78,7 @@ def regress(
         table: Numbers of each frame, see `processor.refine`.
         balance: 1 / rate of white in each channel, shape (C,).
         reference: Number of the frame that stays in place.
-        zoom: Places per pixel along rows and columns, 1 to 3.
+        enlarge: Places per pixel along rows and columns, 1 to 3.
         device: A `Device`, or its name for `open_device`.
 
     Returns:
@@ -86,7 +86,7 @@ def regress(
 
     Raises:
         BadData: Shapes or types do not fit.
-        OutOfRange: `reference`, `zoom`, `balance` or a number of `table` is not allowed.
+        OutOfRange: `reference`, `enlarge`, `balance` or a number of `table` is not allowed.
 
     Source:
         Takeda, Farsiu and Milanfar 2007, "Kernel regression for image processing and
@@ -107,9 +107,9 @@ def regress(
     channels = int(cfa.max()) + 1
     if balance.shape != (channels,) or not (np.isfinite(balance) & (balance > 0)).all():
         raise OutOfRange("balance", balance.tolist(), f"{channels} numbers above 0")
-    if not ZOOMS[0] <= zoom <= ZOOMS[1]:
-        raise OutOfRange("zoom", zoom, f"{ZOOMS[0]:g} .. {ZOOMS[1]:g}")
-    high, wide = zoomed_shape((rows, cols), zoom)
+    if not ENLARGES[0] <= enlarge <= ENLARGES[1]:
+        raise OutOfRange("enlarge", enlarge, f"{ENLARGES[0]:g} .. {ENLARGES[1]:g}")
+    high, wide = enlarged_shape((rows, cols), enlarge)
     defines = {
         "CHANNELS": channels,
         "FRAMES": count,
@@ -146,14 +146,14 @@ def regress(
     weight = CUT * np.pi / 5 * ROUND**2
     launch("survey", (rows, cols), *arrays, guide, int(reference), weight, *sizes, *more)
     launch("shape", (rows, cols), guide, ellipses, rows, cols)
-    numbers = [int(reference), 1 / zoom, *sizes, high, wide, *more]
+    numbers = [int(reference), 1 / enlarge, *sizes, high, wide, *more]
     launch("regress", (high, wide), *arrays, guide, ellipses, out, *numbers)
     return out
 
 
-def zoomed_shape(shape: tuple[int, int], zoom: float) -> tuple[int, int]:
+def enlarged_shape(shape: tuple[int, int], enlarge: float) -> tuple[int, int]:
     """Return rows and columns of the result for those of the frames."""
-    return round(shape[0] * zoom), round(shape[1] * zoom)
+    return round(shape[0] * enlarge), round(shape[1] * enlarge)
 
 
 @functools.cache
@@ -178,14 +178,14 @@ def reach_of_mosaic(cfa: np.ndarray) -> float:
 
 
 def cases():
-    """Yield cases: mosaics, fractions, full pixels, frames without trust, zooms, one frame."""
+    """Yield cases: mosaics, fractions, full pixels, frames without trust, enlarges, one frame."""
     random = np.random.default_rng(10)
     why = (
         "in 2^-24: normal equations of up to 64 samples a frame, 2^7 roundings, whose condition ROUNDING bounds by "
         "1e5 for the bends; these count in a value with at most PEDESTAL^(1/2) = 1/32 where they are as badly "
         "determined: 2^7 1e5 / 32 2^-24 < 0.03 of what differs within a kernel, a tenth of the largest value"
     )
-    for name, rows, cols, count, zoom in (
+    for name, rows, cols, count, enlarge in (
         ("Bayer", 24, 37, 4, 1.0),
         ("Bayer", 12, 17, 3, 1.5),
         ("GBRG", 9, 12, 1, 1.0),
@@ -210,10 +210,10 @@ def cases():
             "table": table,
             "balance": np.linspace(1, 1.8, cfa.max() + 1).astype(np.float32),
             "reference": count // 2,
-            "zoom": zoom,
+            "enlarge": enlarge,
         }
         inputs["trusted"][count // 2] = 1
-        yield Case(f"{name} {count} frames {rows}x{cols}, zoom {zoom:g}", inputs, 3e-3, why)
+        yield Case(f"{name} {count} frames {rows}x{cols}, enlarge {enlarge:g}", inputs, 3e-3, why)
 
 
 def bench(rows, cols):

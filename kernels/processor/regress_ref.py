@@ -8,7 +8,7 @@ ROUND, NARROWEST, WIDEST, WIDTH, NOISE = 0.8, 0.45, 2.0, 1.1, 0.5
 CUT, PEDESTAL, SLOPE, BEND, ROUNDING = 9.0, 1e-3, 1.0, 10.0, 1e-5
 
 
-def regress(raw, displacement, trusted, *, cfa, table, balance, reference=0, zoom=1.0):
+def regress(raw, displacement, trusted, *, cfa, table, balance, reference=0, enlarge=1.0):
     """Return the stage's result, see `regress.py`."""
     frames = Frames(raw, displacement, trusted, cfa, table, balance, reference)
     rows, cols = raw.shape[1:]
@@ -20,8 +20,8 @@ def regress(raw, displacement, trusted, *, cfa, table, balance, reference=0, zoo
     guide = (found * shares).sum(axis=0) / shares.sum()
     variance = 9 * np.pi / 5 * ROUND**2 / np.maximum(weight, 1e-20)
     ellipses = shape(guide, variance)
-    high, wide = round(rows * zoom), round(cols * zoom)
-    y, x = (np.mgrid[:high, :wide] + 0.5) / zoom - 0.5
+    high, wide = round(rows * enlarge), round(cols * enlarge)
+    y, x = (np.mgrid[:high, :wide] + 0.5) / enlarge - 0.5
     at = nearest(y, rows), nearest(x, cols)
     found, _ = frames.fit(y, x, ellipses[at], np.maximum(guide[at], 0))
     return found * shares

@@ -87,7 +87,7 @@ __kernel void compare(
             const float expected = kept * own_noise + dot(wy, wy) * dot(wx, wx) * noise + texture * change;
             sum += (other.x - own.x) * (other.x - own.x) / expected;
         }
-    misfit[((size_t)i * h + by) * w + bx] = is_full && i != last ? OUTSIDE : sum / pixels;
+    misfit[((size_t)i * h + by) * w + bx] = is_full && last >= 0 && i != last ? OUTSIDE : sum / pixels;
 }
 
 __kernel void weigh(

@@ -17,7 +17,7 @@ make f - r larger than noise does. q is the mean of (f - r)^2 over this sum, ove
 
 A frame has no trust at a block if one of its samples there is full, or if f is so close to it that
 samples would be left out by chance. A block whose reference is full compares nothing. The frame
-`last`, which holds the largest rate, is never left out for being full.
+`last`, which holds the largest rate, is never left out for being full; without it none is.
 """
 
 import functools
@@ -32,7 +32,7 @@ from gpusim.kernels.processor.refine import case_table, check_stack
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 LOW, HIGH = 2.0, 4.0  # of q
-TEXTURE = 0.1  # share of the variance among samples that may be a difference
+TEXTURE = 0.2  # share of the variance among samples that may be a difference
 MARGIN = 3.2  # [standard deviations of a pixel] to a full one, as `processor.merge` has it
 OUTSIDE = 1e6  # misfit of a frame without trust
 
@@ -44,7 +44,7 @@ def trust(
     displacement: Array,
     *,
     reference: int = 0,
-    last: int = 0,
+    last: int | None = None,
     period: tuple[int, int] = (2, 2),
     table: Array,
 ) -> Array:
@@ -54,7 +54,8 @@ def trust(
         raw: Digital numbers [DN], shape (frames, rows, cols), uint16.
         displacement: Displacement of every tile [period], shape (frames, tiles_y, tiles_x, 2).
         reference: Number of the frame with which the others are compared.
-        last: Number of the frame that holds the largest rate.
+        last: Number of the frame that holds the largest rate; None leaves no frame out for being
+            full.
         period: Rows and columns of the mosaic's period, 1 to 8.
         table: Numbers of each frame, see `processor.refine`.
         device: A `Device`, or its name for `open_device`.
@@ -73,7 +74,7 @@ def trust(
     """
     table = check_stack(raw, displacement, reference, period, table)
     count, rows, cols = raw.shape
-    if not (0 <= last < count and last == int(last)):
+    if last is not None and not (0 <= last < count and last == int(last)):
         raise OutOfRange("last", last, f"the number of a frame, 0 .. {count - 1}")
     py, px = map(int, period)
     h, w = -(-rows // py), -(-cols // px)
@@ -81,7 +82,8 @@ def trust(
     defines = {"TILE": TILE, "PERIOD_Y": py, "PERIOD_X": px, "OUTSIDE": f"{OUTSIDE}f"}
     launch = functools.partial(device.launch, "processor.trust", defines=defines)
     misfit, out = device.empty((count, h, w)), device.empty((count, h, w))
-    numbers = [int(reference), int(last), TEXTURE, MARGIN, *map(int, displacement.shape[1:3])]
+    last = -1 if last is None else int(last)
+    numbers = [int(reference), last, TEXTURE, MARGIN, *map(int, displacement.shape[1:3])]
     sizes = [count, rows, cols, h, w, *warp_only(device, py, px)]
     launch("compare", misfit.shape, raw, displacement, device.array(table), misfit, *numbers, *sizes)
     launch("weigh", out.shape, misfit, out, LOW, HIGH, count, h, w)
@@ -117,7 +119,7 @@ def cases():
             "displacement": displacement,
             "period": period,
             "reference": count // 2,
-            "last": 0,
+            "last": 0 if count > 2 else None,
             "table": table,
         }
         yield Case(f"{count} frames {rows}x{cols}, period {period}", inputs, 3e-3, why)

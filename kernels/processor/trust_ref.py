@@ -4,7 +4,7 @@ import numpy as np
 
 from gpusim.kernels.processor.align import TILE
 
-LOW, HIGH, TEXTURE, MARGIN, OUTSIDE = 2.0, 4.0, 0.1, 3.2, 1e6
+LOW, HIGH, TEXTURE, MARGIN, OUTSIDE = 2.0, 4.0, 0.2, 3.2, 1e6
 
 
 def trust(raw, displacement, *, reference=0, last=0, period=(2, 2), table):
@@ -36,7 +36,7 @@ def trust(raw, displacement, *, reference=0, last=0, period=(2, 2), table):
         if i == reference:
             q[:] = 0
         blocks = block_means(q, period)
-        if i != last:
+        if last is not None and i != last:
             blocks[block_means(is_full, period) > 0] = OUTSIDE
         around = np.pad(blocks, 1, mode="edge")
         h, w = blocks.shape

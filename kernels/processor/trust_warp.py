@@ -146,7 +146,7 @@ def compare(
                         )
                         sum += (other[0] - own[0]) * (other[0] - own[0]) / expected
     value = sum / pixels
-    if is_full and i != last:
+    if is_full and last >= 0 and i != last:
         value = OUTSIDE
     misfit[i, by, bx] = value
 
