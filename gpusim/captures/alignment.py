@@ -3,20 +3,28 @@
 import numpy as np
 
 from gpusim.backends import Device
-from gpusim.kernels.processor.align import TILE, align
+from gpusim.kernels.processor.align import TILE
 from gpusim.kernels.processor.refine import refine
 
 STEPS = 5  # of the movement; each step's error is about the square of the one before
+TILE_STEPS = 3  # of a tile's own displacement
 FIRST_STEPS = 10  # of the fit to the searched displacements
 CLOSE = 1.0  # [pixel] deviation at which a searched displacement counts half
-SURE = 25.0  # gain of a tile's own displacement in chi squared: 5 standard deviations
+SURE = 25.0  # gain of a displacement in chi squared: 5 standard deviations
 SURER = 100.0  # the same over the misfit that is left, which aliasing and not noise may have made
 APART = 0.15  # [pixel] least deviation of a tile's own displacement from the movement
 STIFF = 1.0  # [pixel] standard deviation of a turn or zoom at the edge of the frame, before it is measured
 
 
 def align_frames(
-    device: Device, raw, searched, *, reference: int, period: tuple[int, int], table: np.ndarray
+    device: Device,
+    raw,
+    searched: np.ndarray,
+    *,
+    reference: int,
+    period: tuple[int, int],
+    table: np.ndarray,
+    lines: float = 0.0,
 ) -> np.ndarray:
     """Return the displacement of every tile of every frame.
 
@@ -29,11 +37,11 @@ def align_frames(
     Args:
         device: The device.
         raw: Digital numbers, an array of the device, uint16 (frames, rows, cols).
-        searched: First displacements [period], (frames, tiles_y, tiles_x, 2); None: `align` finds
-            them. Frames of different exposure need them.
+        searched: First displacements [period], (frames, tiles_y, tiles_x, 2), see `processor.align`.
         reference: Number of the frame with which the others are compared.
         period: Rows and columns of the mosaic's period.
         table: Numbers of each frame, see `processor.refine`.
+        lines: Share of the variance in the dark that whole rows or columns have in common.
 
     Returns:
         Displacements [period], float32 (frames, tiles_y, tiles_x, 2).
@@ -42,8 +50,6 @@ def align_frames(
         Odobez and Bouthemy 1995, "Robust multiresolution estimation of parametric motion models",
         for weights that fall with the misfit.
     """
-    if searched is None:
-        searched = device.numpy(align(raw, reference=reference, period=period, device=device))
     searched = np.asarray(searched, np.float64) * period  # [pixel]
     count, *tiles = searched.shape[:3]
     basis = _affine_basis(tiles)
@@ -57,29 +63,37 @@ def align_frames(
 
     first = sums(searched)
     model = _fit_searched(searched, first[..., 0] + first[..., 2], basis)
+    # whole periods, as of a camera at rest, are kept if noise explains the step away from them
+    movement = np.rint(_evaluate(basis, model) / period) * period
+    _, gain = _model_step(sums(movement), basis)
     for _ in range(STEPS):
-        found = sums(_evaluate(basis, model))
-        model = model + _model_step(found, basis)
-    movement = _evaluate(basis, model)
-    misfit = sums(movement)[..., 5:]
-    taken = movement.copy()
-    least = misfit.copy()
+        step, _ = _model_step(sums(_evaluate(basis, model)), basis)
+        model = model + step
+    is_sure = gain > SURE * (1 + lines * max(raw.shape[1:]))
+    movement[is_sure] = _evaluate(basis, model)[is_sure]
+    taken, least = movement.copy(), sums(movement)[..., 5:]
+    sure = SURE * (1 + lines * TILE * max(period))
     for start in (movement, searched):
         own = start
-        for _ in range(3):
+        for _ in range(TILE_STEPS):
             own = own + _tile_steps(sums(own))
         trial = sums(own)[..., 5:]
-        # mean squares, because places outside the frame and full pixels count in none
-        pixels = np.minimum(trial[..., 1], least[..., 1])
-        gain = (least[..., 0] / np.maximum(least[..., 1], 1)) - trial[..., 0] / np.maximum(
-            trial[..., 1], 1
-        )
-        better = (gain * pixels > SURE) & (pixels >= TILE * TILE / 4)
-        better &= gain * pixels > SURER * trial[..., 0] / np.maximum(trial[..., 1], 1)
+        gain = _gain(least, trial)
+        better = (gain > sure) & (gain * trial[..., 1] > SURER * trial[..., 0])
+        better &= trial[..., 1] >= TILE * TILE / 4
         better &= np.abs(own - movement).max(axis=-1) > APART
         taken[better], least[better] = own[better], trial[better]
     taken[reference] = 0
     return np.ascontiguousarray(taken / period, np.float32)
+
+
+def _gain(before, after):
+    """Return by how much the misfit falls, in squares of the noise. before, after: misfit and number of pixels.
+
+    Means are compared, because places outside the frame and full pixels count in none.
+    """
+    means = [sums[..., 0] / np.maximum(sums[..., 1], 1) for sums in (before, after)]
+    return (means[0] - means[1]) * np.minimum(before[..., 1], after[..., 1])
 
 
 def _affine_basis(tiles):
@@ -118,10 +132,14 @@ def _fit_searched(searched, weight, basis):
 
 
 def _model_step(sums, basis):
-    """Return the changes (frames, 3, 2) of models that the tiles' sums ask for."""
+    """Return the changes (frames, 3, 2) of models that the tiles' sums ask for, and what they gain (frames,).
+
+    The gain is the fall of the misfit in squares of the noise: of noise alone, chi squared of six
+    degrees of freedom, or less.
+    """
     yy, yx, xx, right_y, right_x, misfit, pixels = np.moveaxis(sums, -1, 0)
     mean = misfit / np.maximum(pixels, 1)
-    steps = np.zeros((len(sums), 3, 2))
+    steps, gains = np.zeros((len(sums), 3, 2)), np.zeros(len(sums))
     for i, step in enumerate(steps):
         used = pixels[i] > 0
         if not used.any():
@@ -137,9 +155,10 @@ def _model_step(sums, basis):
         )
         loose = 1e-6 * np.trace(normal) / 6 + 1e-12
         normal += np.diag(np.tile([0, STIFF**-2, STIFF**-2], 2)) + loose * np.eye(6)
-        solved = np.linalg.solve(normal, right).reshape(2, 3).T
-        step[:] = np.clip(solved, -1, 1)
-    return steps
+        solved = np.linalg.solve(normal, right)
+        gains[i] = right @ solved
+        step[:] = np.clip(solved.reshape(2, 3).T, -1, 1)
+    return steps, gains
 
 
 def _tile_steps(sums):

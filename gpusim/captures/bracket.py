@@ -24,6 +24,7 @@ class Bracket(Capture):
     Args:
         stops: Exposure of each frame relative to the camera's, in stops: (-2, 0, 2) for a quarter,
             once and four times the exposure time.
+        align: Align the frames before they are merged, see `merge_bracket`.
 
     Raises:
         BadData: `stops` is not a list of numbers.
@@ -31,6 +32,7 @@ class Bracket(Capture):
     """
 
     stops: Sequence[float] = (-2.0, 0.0, 2.0)
+    align: bool = True
 
     _merges = True
 
@@ -59,7 +61,7 @@ class Bracket(Capture):
         return exposures
 
     def _merge(self, simulator, frames):
-        return merge_bracket(simulator, frames)
+        return merge_bracket(simulator, frames, align=self.align)
 
 
 def bracket(

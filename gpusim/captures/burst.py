@@ -7,7 +7,8 @@ import numpy as np
 
 from gpusim.captures.capture import Capture
 from gpusim.captures.merge import merge_burst
-from gpusim.domain.errors import BadData, checked_count
+from gpusim.captures.regression import check_enlargement
+from gpusim.domain.errors import BadData, Conflict, checked_count
 from gpusim.domain.scene import Scene
 from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.frame import Frame
@@ -24,18 +25,25 @@ class Burst(Capture):
 
     Args:
         size: Number of frames.
+        enlarge: Pixels of the merged picture per pixel of the camera, along rows and columns, 1 to
+            3.
 
     Raises:
-        OutOfRange: The number is not allowed.
+        Conflict: Frames that are not merged cannot be enlarged.
+        OutOfRange: A number is not allowed.
     """
 
     size: int = 8
+    enlarge: float = 1.0
 
     _merges = True
 
     def __post_init__(self):
         super().__post_init__()
         checked_count("frames of a burst", self.size, 1 + self.merged)
+        check_enlargement(self.enlarge)
+        if self.enlarge != 1 and not self.merged:
+            raise Conflict("enlarge", "only merged frames have samples enough", "add merged")
 
     @property
     def count(self) -> int:
@@ -50,7 +58,7 @@ class Burst(Capture):
         return exposures
 
     def _merge(self, simulator, frames):
-        return merge_burst(simulator, frames)
+        return merge_burst(simulator, frames, enlarge=self.enlarge)
 
 
 def burst(

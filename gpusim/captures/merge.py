@@ -13,7 +13,7 @@ from gpusim.captures.merging import (
     merge_tables,
     replace_defects,
 )
-from gpusim.captures.regression import ALIGNED, Views, checked_enlargement, is_demosaicked
+from gpusim.captures.regression import ALIGNED, Views, check_enlargement, is_demosaicked
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.raw_noise import RawNoise
 from gpusim.kernels.processor.align import checked_stack
@@ -24,6 +24,8 @@ from gpusim.pipeline.developer import CLIPPED, Developer
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.simulator import Simulator
+
+MARGIN = 5.0  # [standard deviations of a pixel] to a full one
 
 
 def merge_bracket(
@@ -199,14 +201,17 @@ def merge_burst(
     period = (1, 1) if sensor.stacked else sensor.cfa_indices.shape
     one_layer = np.stack([frame.raw.reshape(-1, *shape[-2:])[0] for frame in frames])
     checked_stack(one_layer, reference, period)
-    checked_enlargement(enlarge, frames[0], count)
+    check_enlargement(enlarge)
     shown = frames[int(reference)]
+    can_fit = is_demosaicked(shown) and count <= MOST_FITTED
+    if enlarge > 1 and not can_fit:
+        allowed = f"1 with a table of filters (processor.table), or of more than {MOST_FITTED} frames"
+        raise OutOfRange("enlarge", enlarge, allowed)
     dark = sensor.noise.operating_dark_current * times[0]
     with device.timed() as ms:
         views = _views(simulator, frames, replace_defects(simulator, frames), int(reference))
         displacement, planes = views.align(), None
         stages = dict(ALIGNED)
-        can_fit = is_demosaicked(shown) and count <= MOST_FITTED
         if enlarge > 1 or (can_fit and not views.is_whole(displacement)):
             develop = _demosaicker(simulator, shown)
             planes, fitted = views.merge(displacement, _white_rates(shown), develop, enlarge)
@@ -258,7 +263,8 @@ def _views(simulator, frames, raw, reference):
     ]
     layers = raw.reshape(len(raw), -1, *raw.shape[-2:]).swapaxes(0, 1)
     cfa = np.zeros((1, 1), np.int32) if sensor.stacked else sensor.cfa_indices
-    return Views(simulator.device, layers, reference, cfa, np.array(table))
+    lines = (noise.lines + noise.line_offsets) / noise.averaged / tables["floor"].min()
+    return Views(simulator.device, layers, reference, cfa, np.array(table), lines)
 
 
 def _demosaicker(simulator, frame):
@@ -287,12 +293,14 @@ def _fill_missing(raw, missing, reference, tables):
     """Return raw values of which the parts that a frame does not have count no more.
 
     They count as full. The frame that holds the largest rate, the first, is always used: it takes
-    the reference's rate, unless that is full too. missing: bool (frames, rows, cols).
+    the reference's rate, unless that may be full too. missing: bool (frames, rows, cols).
     """
     dark, gain, time, ceiling = (tables[name] for name in ("dark", "gain", "time", "ceiling"))
     rate = (raw[reference] - dark[reference]) / gain[reference] / time[reference]
     same = np.clip(np.rint(rate * gain[0] * time[0] + dark[0]), 0, None)
-    same = np.where(raw[reference] < ceiling[reference], same, raw[0])
+    noise = np.sqrt(np.maximum(rate * time[reference], 0) + tables["floor"][reference])
+    left = (ceiling[reference] - raw[reference]) / gain[reference]
+    same = np.where(left > MARGIN * noise, same, raw[0])
     for i, values in enumerate(raw):
         if i != reference:
             filled = np.ceil(ceiling[i]) if i else same

@@ -43,6 +43,7 @@ class Views:
         reference: Number of the frame that stays in place.
         cfa: Channel of each pixel in one period of the mosaic; of stacked pixels one pixel.
         table: Numbers of each frame, see `processor.refine`; rates are in e- s-1.
+        lines: Share of the variance in the dark that whole rows or columns have in common.
     """
 
     device: Device
@@ -50,6 +51,7 @@ class Views:
     reference: int
     cfa: np.ndarray
     table: np.ndarray
+    lines: float = 0.0
 
     def __post_init__(self):
         """Keep the numbers of a layer that shows most light, on the device, at least one tile large."""
@@ -84,10 +86,13 @@ class Views:
         return np.stack(found)
 
     def align(self) -> np.ndarray:
-        """Return displacements [period] to hundredths of a pixel, (frames, tiles_y, tiles_x, 2)."""
+        """Return displacements [period] to hundredths of a pixel, (frames, tiles_y, tiles_x, 2).
+
+        Frames smaller than a tile are displaced by whole periods.
+        """
         searched = self.search()
         if self.small:
-            return searched
+            return np.rint(searched)
         return align_frames(
             self.device,
             self.stack,
@@ -95,6 +100,7 @@ class Views:
             reference=self.reference,
             period=self.cfa.shape,
             table=self.table,
+            lines=self.lines,
         )
 
     def trust(self, displacement: np.ndarray, last: int | None = None) -> np.ndarray:
@@ -247,23 +253,11 @@ def is_demosaicked(frame: Frame) -> bool:
     return frame.camera.processor.table is None
 
 
-def checked_enlargement(enlarge: float, frame: Frame, count: int) -> None:
-    """Raise OutOfRange unless frames can be merged into a picture of this size.
-
-    Args:
-        enlarge: Pixels of the picture per pixel of the camera.
-        frame: One of the frames.
-        count: Number of frames.
-    """
+def check_enlargement(enlarge: float) -> None:
+    """Raise OutOfRange unless a picture can have so many pixels per pixel of the camera."""
     low, high = ENLARGES
     if not (isinstance(enlarge, Real) and low <= enlarge <= high):
         raise OutOfRange("enlarge", enlarge, f"{low:g} .. {high:g}")
-    if enlarge > 1 and not (is_demosaicked(frame) and count <= MOST_FRAMES):
-        raise OutOfRange(
-            "enlarge",
-            enlarge,
-            f"1 with a table of filters (processor.table) or more than {MOST_FRAMES} frames",
-        )
 
 
 def fill_tile(layer, period):

@@ -21,8 +21,10 @@ MOVES = (
     "period",
     "instants",
 )
+FLAGS = "merged", "unaligned"
 WANTED = (
-    "burst=N, bracket=STOP:STOP:... or reads=TIME:TIME:..., merged, and pan=DOWN:RIGHT, roll=DEG_S, "
+    "burst=N, bracket=STOP:STOP:... or reads=TIME:TIME:..., merged, enlarge=FACTOR (of a merged burst), "
+    "unaligned (of a merged bracket), and pan=DOWN:RIGHT, roll=DEG_S, "
     "zooming=FACTOR, shake=PIXELS, travel=DOWN:RIGHT:AHEAD (m/s), seed=N, flicker=HZ:DEPTH, pwm=HZ:DUTY, "
     "period=SECONDS, instants=N, each once"
 )
@@ -40,7 +42,7 @@ def capture_option(more: str = "", moves: bool = True) -> Any:
         type=parse_capture if moves else _parse_at_rest,
         metavar="LIST",
         help="frames of each scene: burst=8, bracket=-2:0:2 (stops) or reads=10ms:20ms "
-        f"(non-destructive), with ,merged as one{motion}{more}",
+        f"(non-destructive), with ,merged as one, a merged burst with ,enlarge=1.5{motion}{more}",
     )
 
 
@@ -56,22 +58,25 @@ def parse_capture(text: str) -> "Capture":
     found: dict[str, str] = {}
     for part in text.split(","):
         name, _, value = part.partition("=")
-        if (
-            name in found
-            or name not in (*KINDS, *MOVES, "merged")
-            or (name == "merged") == bool(value)
-        ):
+        known = name in (*KINDS, *MOVES, *FLAGS, "enlarge")
+        if name in found or not known or (name in FLAGS) == bool(value):
             raise argparse.ArgumentTypeError(f"{part!r}: wanted {WANTED}")
         found[name] = value
     kinds = [name for name in KINDS if name in found]
     try:
         if len(kinds) > 1:
             raise ValueError
+        if "enlarge" in found and "burst" not in found:
+            raise ValueError
+        if "unaligned" in found and not {"bracket", "merged"} <= set(found):
+            raise ValueError
         common = _read_motion(found)
         if "burst" in found:
-            return Burst(int(found["burst"]), **common)
+            factor = float(found.get("enlarge", 1))
+            return Burst(int(found["burst"]), enlarge=factor, **common)
         if "bracket" in found:
-            return Bracket(tuple(map(float, found["bracket"].split(":"))), **common)
+            stops = tuple(map(float, found["bracket"].split(":")))
+            return Bracket(stops, align="unaligned" not in found, **common)
         if "reads" in found:
             return Reads(tuple(map(parse_seconds, found["reads"].split(":"))), **common)
         return Capture(**common)

@@ -1,5 +1,5 @@
 // Two passes: `smooth` mixes the colours, `sums` adds over the pixels of a tile, one tile per work-item.
-// From the host: TILE, PERIOD_Y, PERIOD_X, FULL.
+// From the host: TILE, PERIOD_Y, PERIOD_X, FULL, MARGIN.
 #pragma OPENCL FP_CONTRACT OFF
 
 __kernel void smooth(
@@ -27,7 +27,10 @@ __kernel void smooth(
         sum += (float)(PERIOD_Y - abs(j)) * part;
     }
     const float mean = sum / (float)(PERIOD_Y * PERIOD_Y * PERIOD_X * PERIOD_X);
-    out[((size_t)i * rows + y) * cols + x] = is_full ? FULL : (mean - table[i]) * table[frames + i];
+    const float rate = (mean - table[i]) * table[frames + i], left = (full - table[i]) * table[frames + i] - rate;
+    const float noise = table[2 * frames + i] * fmax(rate, 0.0f) + table[3 * frames + i];
+    is_full = is_full || left < 0.0f || left * left < MARGIN * MARGIN * noise;
+    out[((size_t)i * rows + y) * cols + x] = is_full ? FULL : rate;
 }
 
 // Weights of the samples at -1, 0, 1, 2 at 0 <= s < 1, after Keys.

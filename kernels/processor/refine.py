@@ -13,8 +13,9 @@ column of a tile are
     g_y^2 / s^2, g_y g_x / s^2, g_x^2 / s^2, -g_y e / s^2, -g_x e / s^2, e^2 / s^2, 1,
 
 where g are central differences of L_r, and e = L - L_r. The first five are the normal equations of
-the step to the best displacement: (s_0, s_1; s_1, s_2) step = (s_3, s_4). Pixels with a full number
-in one of the tents count in no sum, nor do places outside the frame. Dark pixels of a short
+the step to the best displacement: (s_0, s_1; s_1, s_2) step = (s_3, s_4). Pixels whose tent has a full
+number, or a mean less than MARGIN standard deviations of a number below it, count in no sum, nor do
+places outside the frame. Dark pixels of a short
 exposure count little, because their variance is large.
 """
 
@@ -29,6 +30,7 @@ from gpusim.kernels.processor.align import TILE, checked_stack
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 FULL = 1e30  # L of a pixel whose tent has a full number
+MARGIN = 4.0  # [standard deviations of a number] to a full one
 PER_FRAME = "dark", "scale", "shot", "floor", "full"
 SUMS = 7
 
@@ -72,7 +74,7 @@ def refine(
     tiles = displacement.shape[1:3]
     raw, displacement = device.array(raw, np.uint16), device.array(displacement)
     defines = {"TILE": TILE, "PERIOD_Y": int(period[0]), "PERIOD_X": int(period[1])}
-    defines["FULL"] = f"{FULL:g}f"
+    defines |= {"FULL": f"{FULL:g}f", "MARGIN": f"{MARGIN}f"}
     launch = functools.partial(device.launch, "processor.refine", defines=defines)
     sizes = [count, rows, cols, *warp_only(device, *map(int, period))]
     plane, out = device.empty((count, rows, cols)), device.empty((count, *tiles, SUMS))

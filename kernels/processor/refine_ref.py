@@ -5,6 +5,8 @@ import numpy as np
 from gpusim.kernels.processor.align import TILE
 from gpusim.kernels.processor.average_ref import keys
 
+MARGIN = 4.0
+
 
 def refine(raw, displacement, *, reference=0, period=(2, 2), table):
     """Return the stage's result, see `refine.py`."""
@@ -15,8 +17,11 @@ def refine(raw, displacement, *, reference=0, period=(2, 2), table):
     planes, fulls = [], []
     for i in range(count):
         mean = tents[0] @ raw[i].astype(np.float64) @ tents[1].T
-        planes.append((mean - dark[i]) * scale[i])
-        fulls.append((tents[0] > 0) @ (raw[i] >= full[i]) @ (tents[1] > 0).T > 0)
+        rate = (mean - dark[i]) * scale[i]
+        planes.append(rate)
+        left = (full[i] - dark[i]) * scale[i] - rate
+        close = left < MARGIN * np.sqrt(shot[i] * np.maximum(rate, 0) + floor[i])
+        fulls.append(close | ((tents[0] > 0) @ (raw[i] >= full[i]) @ (tents[1] > 0).T > 0))
     out = np.zeros((*displacement.shape[:3], 7))
     for i, ty, tx in np.ndindex(*out.shape[:3]):
         if i != reference:

@@ -10,6 +10,7 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TILE = wp.constant(align_host.TILE)
 FULL = wp.constant(refine_host.FULL)
+MARGIN = wp.constant(refine_host.MARGIN)
 vec7 = wp.types.vector(length=7, dtype=float)
 
 
@@ -42,7 +43,9 @@ def smooth(
         sum += float(period_y - wp.abs(j)) * part
     mean = sum / float(period_y * period_y * period_x * period_x)
     value = (mean - table[0, i]) * table[1, i]
-    if is_full:
+    left = (full - table[0, i]) * table[1, i] - value
+    noise = table[2, i] * wp.max(value, 0.0) + table[3, i]
+    if is_full or left < 0.0 or left * left < MARGIN * MARGIN * noise:
         value = FULL
     out[i, y, x] = value
 

@@ -13,7 +13,7 @@ the weights of the taps. f - r is compared with
 where d^2 is the variance of the reference's samples under the spline, less that of the noise:
 where the reference changes from sample to sample, small errors of the displacement and aliasing
 make f - r larger than noise does. q is the mean of (f - r)^2 over this sum, over the pixels of 3 x
-3 blocks. The trust is 1 up to q = LOW, falls linearly, and is 0 from HIGH on.
+3 blocks. The trust is 1 up to q = low, falls linearly, and is 0 from high on, see `bounds`.
 
 A frame has no trust at a block if one of its samples there is full, or if f is so close to it that
 samples would be left out by chance. A block whose reference is full compares nothing. The frame
@@ -31,7 +31,10 @@ from gpusim.kernels.processor.align import TILE
 from gpusim.kernels.processor.refine import case_table, check_stack
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 
-LOW, HIGH = 2.0, 4.0  # of q
+LEAST = 1.5  # of q: the smallest bound
+FREEDOM = 5.6  # degrees of freedom of q per pixel of a block: splines make neighbours alike; measured
+SURE = 3.3  # [standard deviations] of q, which noise exceeds in 5e-4 of all blocks
+BAND = 1.7  # bound of no trust over the bound of full trust
 TEXTURE = 0.2  # share of the variance among samples that may be a difference
 MARGIN = 3.2  # [standard deviations of a pixel] to a full one, as `processor.merge` has it
 OUTSIDE = 1e6  # misfit of a frame without trust
@@ -86,8 +89,25 @@ def trust(
     numbers = [int(reference), last, TEXTURE, MARGIN, *map(int, displacement.shape[1:3])]
     sizes = [count, rows, cols, h, w, *warp_only(device, py, px)]
     launch("compare", misfit.shape, raw, displacement, device.array(table), misfit, *numbers, *sizes)
-    launch("weigh", out.shape, misfit, out, LOW, HIGH, count, h, w)
+    launch("weigh", out.shape, misfit, out, *bounds(period), count, h, w)
     return out
+
+
+def bounds(period: tuple[int, int]) -> tuple[float, float]:
+    """Return the largest q of full trust, and the least q of none.
+
+    q of noise is chi squared over its degrees of freedom n = FREEDOM times the pixels of a block,
+    whose cube root is nearly normal: mean 1 - 2 / 9n, variance 2 / 9n (Wilson and Hilferty 1931).
+
+    Args:
+        period: Rows and columns of the mosaic's period.
+
+    Returns:
+        (low, high).
+    """
+    spread = 2 / (9 * FREEDOM * period[0] * period[1])
+    low = max(LEAST, (1 - spread + SURE * spread**0.5) ** 3)
+    return low, BAND * low
 
 
 def cases():
@@ -95,7 +115,7 @@ def cases():
     random = np.random.default_rng(7)
     why = (
         "in 2^-24: 16 taps, 20 roundings of up to 4095 numbers, squared and cancelled by means of squares 2 20 "
-        "4095^2 of at least 25 / 9 numbers squared of noise: 0.03 / HIGH of a misfit where texture counts, which "
+        "4095^2 of at least 25 / 9 numbers squared of noise: 0.03 / high of a misfit where texture counts, which "
         "is then 1 / TEXTURE smaller: 3e-3; places that round to another sample do not occur"
     )
     for period, rows, cols, count in (

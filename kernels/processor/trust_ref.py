@@ -4,7 +4,7 @@ import numpy as np
 
 from gpusim.kernels.processor.align import TILE
 
-LOW, HIGH, TEXTURE, MARGIN, OUTSIDE = 2.0, 4.0, 0.2, 3.2, 1e6
+TEXTURE, MARGIN, OUTSIDE = 0.2, 3.2, 1e6
 
 
 def trust(raw, displacement, *, reference=0, last=0, period=(2, 2), table):
@@ -18,6 +18,9 @@ def trust(raw, displacement, *, reference=0, last=0, period=(2, 2), table):
     )
     own = own * scale[reference]
     own_full = still[3] >= full[reference]
+    spread = 2 / (9 * 5.6 * period[0] * period[1])
+    low = max(1.5, (1 - spread + 3.3 * np.sqrt(spread)) ** 3)
+    high = 1.7 * low
     out = np.zeros((count, -(-rows // period[0]), -(-cols // period[1])))
     for i in range(count):
         moves = np.zeros((rows, cols, 2))
@@ -41,7 +44,7 @@ def trust(raw, displacement, *, reference=0, last=0, period=(2, 2), table):
         around = np.pad(blocks, 1, mode="edge")
         h, w = blocks.shape
         mean = sum(around[a : a + h, b : b + w] for a in range(3) for b in range(3)) / 9
-        out[i] = np.clip((HIGH - mean) / (HIGH - LOW), 0, 1)
+        out[i] = np.clip((high - mean) / (high - low), 0, 1)
     return out
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim.captures import merge as merging
+from gpusim.captures import regression
 from gpusim.captures.merge import _display_noise, merge_bracket, merge_burst, merge_flash
 from gpusim.data.lights import illuminant
 from gpusim.domain.errors import BadData, OutOfRange
@@ -650,7 +650,7 @@ def test_burst_knows_all_noise(monkeypatch):
     """Rows, columns and offsets are not at rest when a frame is moved."""
     told = {}
     monkeypatch.setattr(
-        merging, "average", lambda *args, **known: told.update(known) or average(*args, **known)
+        regression, "average", lambda *args, **known: told.update(known) or average(*args, **known)
     )
     simulate = processed({"exposure_time": 1e-4}, {"row": 6.0, "column": 8.0, "dsnu": 10.0})
     frames = list(simulate.frames(grey(np.full((128, 128), 1e-6)), COUNT))
