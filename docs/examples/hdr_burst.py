@@ -89,7 +89,7 @@ axis.legend(frameon=False)
 # %%
 # Burst
 # -----
-# Eight frames of 5 ms with a shaking hand, aligned and averaged, compared with one frame of 40 ms
+# Eight frames of 5 ms with a shaking hand, aligned and merged, compared with one frame of 40 ms
 # with the same motion.
 
 hand = gs.Motion(shake=4.0, seed=2)

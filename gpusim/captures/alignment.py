@@ -51,20 +51,19 @@ def align_frames(
         for weights that fall with the misfit.
     """
     searched = np.asarray(searched, np.float64) * period  # [pixel]
-    count, *tiles = searched.shape[:3]
-    basis = _affine_basis(tiles)
+    basis = _affine_basis(searched.shape[1:3])
 
     def sums(displacement):
         moved = np.ascontiguousarray(displacement / period, np.float32)
-        found = refine(
-            raw, moved, reference=reference, period=period, table=table, device=device
-        )
+        found = refine(raw, moved, reference=reference, period=period, table=table, device=device)
         return np.array(device.numpy(found), np.float64)
 
     first = sums(searched)
     model = _fit_searched(searched, first[..., 0] + first[..., 2], basis)
-    # whole periods, as of a camera at rest, are kept if noise explains the step away from them
-    movement = np.rint(_evaluate(basis, model) / period) * period
+    # a displacement in whole periods, as of a camera at rest, is kept if noise explains the step away from it
+    whole = np.zeros_like(model)
+    whole[:, 0] = np.rint(model[:, 0] / period) * period
+    movement = _evaluate(basis, whole)
     _, gain = _model_step(sums(movement), basis)
     for _ in range(STEPS):
         step, _ = _model_step(sums(_evaluate(basis, model)), basis)

@@ -9,6 +9,7 @@ from gpusim.captures.capture import Capture
 from gpusim.captures.merge import merge_bracket
 from gpusim.domain.exposure import bracket_times
 from gpusim.domain.scene import Scene
+from gpusim.domain.short_repr import short_repr
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.plan import Plan
@@ -35,6 +36,7 @@ class Bracket(Capture):
     align: bool = True
 
     _merges = True
+    __repr__ = short_repr
 
     def __post_init__(self):
         super().__post_init__()

@@ -10,6 +10,7 @@ from gpusim.captures.merge import merge_burst
 from gpusim.captures.regression import check_enlargement
 from gpusim.domain.errors import BadData, Conflict, checked_count
 from gpusim.domain.scene import Scene
+from gpusim.domain.short_repr import short_repr
 from gpusim.pipeline.exposure import Exposure
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.simulator import Simulator
@@ -37,6 +38,7 @@ class Burst(Capture):
     enlarge: float = 1.0
 
     _merges = True
+    __repr__ = short_repr
 
     def __post_init__(self):
         super().__post_init__()
@@ -49,6 +51,11 @@ class Burst(Capture):
     def count(self) -> int:
         """Number of frames."""
         return self.size
+
+    @property
+    def keeps_size(self) -> bool:
+        """True if its pictures have as many pixels as the camera."""
+        return self.enlarge == 1
 
     def _exposures(self, light):
         exposures, after = [], 0.0

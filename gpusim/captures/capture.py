@@ -89,6 +89,24 @@ class Capture:
         """Number of frames, which is also the number of different noises."""
         return 1
 
+    @property
+    def keeps_size(self) -> bool:
+        """True if its pictures have as many pixels as the camera."""
+        return True
+
+    def check_size(self, what: str) -> None:
+        """Check that the pictures have as many pixels as the camera.
+
+        Args:
+            what: What needs that, as a part of a sentence.
+
+        Raises:
+            Conflict: They are enlarged.
+        """
+        if not self.keeps_size:
+            reason = f"{what} have as many pixels as the camera"
+            raise Conflict("enlarge", reason, "leave it out, or take single frames")
+
     def is_moving(self, scene: Scene | Animation) -> bool:
         """Return True if the light of a frame changes while it is exposed.
 
@@ -177,6 +195,7 @@ class Capture:
         Raises:
             Conflict: The capture does not have this output.
         """
+        self.check_size("outputs of loops and batches")
         light = Light.of(self, loop, first)
         shots = self.shots(light, seed, first)
         plan, device = shots[0].exposure.plan, loop.simulator.device

@@ -101,7 +101,8 @@ def merge_bracket(
             displacement = views.align()
             stages = dict(ALIGNED)
             if views.is_whole(displacement) or not is_demosaicked(shown):
-                raw = _fill_missing(*views.move(raw, displacement), middle, tables)
+                raw, missing = views.move(raw, displacement)
+                raw = _fill_missing(raw, missing, middle, tables)
             else:
                 develop = _demosaicker(simulator, shown)
                 planes, fitted = views.merge(displacement, _white_rates(shown), develop)
@@ -205,7 +206,9 @@ def merge_burst(
     shown = frames[int(reference)]
     can_fit = is_demosaicked(shown) and count <= MOST_FITTED
     if enlarge > 1 and not can_fit:
-        allowed = f"1 with a table of filters (processor.table), or of more than {MOST_FITTED} frames"
+        allowed = (
+            f"1 with a table of filters (processor.table), or of more than {MOST_FITTED} frames"
+        )
         raise OutOfRange("enlarge", enlarge, allowed)
     dark = sensor.noise.operating_dark_current * times[0]
     with device.timed() as ms:

@@ -61,7 +61,9 @@ def develop_merged(
 
     cells = old if planes is None else dataclasses.replace(old, stacked=True)
     gains = shading
-    if planes is not None:  # all channels of a pixel are developed, and their noise removed, as of stacked pixels
+    if (
+        planes is not None
+    ):  # all channels of a pixel are developed, and their noise removed, as of stacked pixels
         plain = {"demosaic": "auto", "network": None, "denoise": processor_before.denoising}
         layered = dataclasses.replace(processor, **plain)
         if shading is not None and not old.stacked:

@@ -12,7 +12,7 @@ from gpusim.domain.errors import OutOfRange
 from gpusim.kernels.processor.align import TILE, align
 from gpusim.kernels.processor.average import average
 from gpusim.kernels.processor.levels import MOST_BALANCE
-from gpusim.kernels.processor.regress import ENLARGES, MOST_FRAMES, regress
+from gpusim.kernels.processor.regress import ENLARGES, regress
 from gpusim.kernels.processor.trust import trust
 from gpusim.pipeline.frame import Frame
 
@@ -157,7 +157,9 @@ class Views:
             for size, length, count in zip((rows, cols), (py, px), whole.shape[1:3], strict=True)
         ]
         found = np.empty_like(raw)
-        for values, numbers, moves, gone in zip(found, raw, whole.astype(int), missing, strict=True):
+        for values, numbers, moves, gone in zip(
+            found, raw, whole.astype(int), missing, strict=True
+        ):
             by = moves[np.ix_(*tile)]
             y = np.arange(rows)[:, None] + by[..., 0] * py
             x = np.arange(cols) + by[..., 1] * px
@@ -209,8 +211,7 @@ class Views:
                 )
                 for layer, factors in zip(self.layers, own, strict=True)
             ]
-            planes = np.concatenate([np.array(self.device.numpy(plane)) for plane in planes])
-            return planes, "raw samples"
+            return self._join(planes), "raw samples"
         stacks, table = self._develop(develop)
         (py, px), shape = self.cfa.shape, stacks.shape[-2:]
         each = trusted.repeat(py, axis=1).repeat(px, axis=2)[:, : shape[0], : shape[1]]
@@ -226,8 +227,11 @@ class Views:
             )
             for stack, factor in zip(stacks, balance, strict=True)
         ]
-        planes = np.concatenate([np.array(self.device.numpy(plane)) for plane in planes])
-        return planes, "demosaicked frames"
+        return self._join(planes), "demosaicked frames"
+
+    def _join(self, planes) -> np.ndarray:
+        """Return planes of the device as one array of the host."""
+        return np.concatenate([np.array(self.device.numpy(plane)) for plane in planes])
 
     def _develop(self, develop):
         """Return demosaicked numbers uint16 (C, frames, rows, cols) and their table for `regress`."""

@@ -236,6 +236,7 @@ def video(request: VideoRequest) -> int:
     target, manifest, made = _target(request, simulator, scenes, segments)
     is_blurred = bool(request.blur or request.flicker or request.pwm)
     capture, average = request.capture or ONE_FRAME, request.average
+    capture.check_size("frames of a video")
     capture = replace(capture, merged=capture.merged or capture.has_frames)
     request.refuse_unread("video")
     for folder in target.folders:

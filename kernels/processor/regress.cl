@@ -1,6 +1,6 @@
 // Three passes: `survey` makes a guide with round kernels, `shape` a kernel for each pixel from the guide, `regress` the
 // planes. One pixel per work-item.
-// From the host: CHANNELS, FRAMES, TILE, PERIOD_Y, PERIOD_X, and the constants of regress.py.
+// From the host: CHANNELS, TILE, PERIOD_Y, PERIOD_X, and the constants of regress.py.
 #pragma OPENCL FP_CONTRACT OFF
 #include "tiles.clh"
 
@@ -18,14 +18,14 @@ inline float2 place_in(__global const float *restrict displacement, const int i,
                  -1e6f, 1e6f);
 }
 
-// Fits one value per channel, and slopes and bends common to all. ellipse: inverse covariance (yy, yx, xx) of the
+// Fits one value per channel, with its weight behind, and slopes and bends common to all. ellipse: inverse covariance (yy, yx, xx) of the
 // kernel; span: its reach in rows and columns. Returns the weight of all samples in units of the inverse variance.
 inline float fit(
     __global const ushort *restrict raw, __global const float *restrict displacement,
     __global const float *restrict trusted, __global const float *restrict table, __global const int *restrict cfa,
     __global const float *restrict balance, float *found, const float3 ellipse, const float2 span, const float level,
     const float y, const float x, const int reference, const int tiles_y, const int tiles_x, const int rows,
-    const int cols, const int h, const int w)
+    const int cols, const int h, const int w, const int frames)
 {
     float count[CHANNELS], sum[CHANNELS], middle[CHANNELS][TERMS], matrix[TERMS][TERMS], right[TERMS];
     for (int c = 0; c < CHANNELS; ++c) {
@@ -39,15 +39,15 @@ inline float fit(
     float all = 0.0f;
     const int block_y = clamp((int)floor(y + 0.5f), 0, rows - 1) / PERIOD_Y;
     const int block_x = clamp((int)floor(x + 0.5f), 0, cols - 1) / PERIOD_X;
-    for (int i = 0; i < FRAMES; ++i) {
+    for (int i = 0; i < frames; ++i) {
         const float share = trusted[((size_t)i * h + block_y) * w + block_x];
         if (!(share > 0.0f)) continue;
         const float2 at = place_in(displacement, i, reference, y, x, tiles_y, tiles_x);
-        const float dark = table[i], scale = table[FRAMES + i], full = table[4 * FRAMES + i];
+        const float dark = table[i], scale = table[frames + i], full = table[4 * frames + i];
         float weights[CHANNELS];
         for (int c = 0; c < CHANNELS; ++c) {
             const float b = balance[c];
-            weights[c] = share / (b * (table[2 * FRAMES + i] * level + b * table[3 * FRAMES + i]));
+            weights[c] = share / (b * (table[2 * frames + i] * level + b * table[3 * frames + i]));
         }
         const int top = max((int)ceil(at.x - span.x), 0), bottom = min((int)floor(at.x + span.x), rows - 1);
         const int left = max((int)ceil(at.y - span.y), 0), last = min((int)floor(at.y + span.y), cols - 1);
@@ -101,67 +101,84 @@ inline float fit(
         float left = sum[c];
         for (int k = 0; k < TERMS; ++k) left -= middle[c][k] * right[k];
         found[c] = count[c] > 0.0f ? left / count[c] : level;
+        found[CHANNELS + c] = count[c];
     }
     return all;
 }
 
+// The mean of balanced values with the weights of white's light in them.
+inline float luminance_of(const float *values, __global const float *restrict balance)
+{
+    float sum = 0.0f, total = 0.0f;
+    for (int c = 0; c < CHANNELS; ++c) {
+        sum += values[c] / balance[c];
+        total += 1.0f / balance[c];
+    }
+    return sum / total;
+}
+
 __kernel void survey(
     // in:
-    __global const ushort *restrict raw,          // [FRAMES][rows][cols]
-    __global const float *restrict displacement,  // [FRAMES][tiles_y][tiles_x][2]
-    __global const float *restrict trusted,       // [FRAMES][h][w]
-    __global const float *restrict table,         // [5][FRAMES] dark, scale, shot, floor, full
+    __global const ushort *restrict raw,          // [frames][rows][cols]
+    __global const float *restrict displacement,  // [frames][tiles_y][tiles_x][2]
+    __global const float *restrict trusted,       // [frames][h][w]
+    __global const float *restrict table,         // [5][frames] dark, scale, shot, floor, full
     __global const int *restrict cfa,             // [PERIOD_Y][PERIOD_X]
     __global const float *restrict balance,       // [CHANNELS]
     // out:
-    __global float *restrict guide,               // [2][rows][cols] luminance, variance
+    __global float *restrict guide,               // [2 + 2 CHANNELS][rows][cols] luminance, variance, tints, weights
     // params:
     const int reference, const float variance,
     // sizes:
-    const int tiles_y, const int tiles_x, const int rows, const int cols, const int h, const int w)
+    const int tiles_y, const int tiles_x, const int rows, const int cols, const int h, const int w, const int frames)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= cols || y >= rows)
     // the mean of the nearest samples; a frame counts as its photons do
     float level = 0.0f, weight = 0.0f;
-    for (int i = 0; i < FRAMES; ++i) {
+    for (int i = 0; i < frames; ++i) {
         const float share = trusted[((size_t)i * h + y / PERIOD_Y) * w + x / PERIOD_X];
         if (!(share > 0.0f)) continue;
         const float2 at = place_in(displacement, i, reference, y, x, tiles_y, tiles_x);
         const int v = floor(at.x + 0.5f), u = floor(at.y + 0.5f);
-        const float own = share / (table[2 * FRAMES + i] + table[3 * FRAMES + i]);
+        const float own = share / (table[2 * frames + i] + table[3 * frames + i]);
         for (int j = max(v - NEAR, 0); j <= min(v + NEAR, rows - 1); ++j)
             for (int k = max(u - NEAR, 0); k <= min(u + NEAR, cols - 1); ++k) {
                 const float b = balance[cfa[j % PERIOD_Y * PERIOD_X + k % PERIOD_X]];
-                level += own * ((float)raw[((size_t)i * rows + j) * cols + k] - table[i]) * table[FRAMES + i];
+                level += own * ((float)raw[((size_t)i * rows + j) * cols + k] - table[i]) * table[frames + i];
                 weight += own / b;
             }
     }
     level = weight > 0.0f ? fmax(level / weight, 0.0f) : 0.0f;
-    float found[CHANNELS];
+    float found[2 * CHANNELS];
     const float inverse = 1.0f / (ROUND * ROUND), reach = fmax(WIDE, sqrt(CUT) * ROUND);
     const float all = fit(raw, displacement, trusted, table, cfa, balance, found, (float3)(inverse, 0.0f, inverse),
-                          (float2)(reach), level, y, x, reference, tiles_y, tiles_x, rows, cols, h, w);
-    float luminance = 0.0f, total = 0.0f;
+                          (float2)(reach), level, y, x, reference, tiles_y, tiles_x, rows, cols, h, w,
+                          frames);
+    const float luminance = luminance_of(found, balance);
+    const size_t at = (size_t)y * cols + x, plane = (size_t)rows * cols;
+    guide[at] = luminance;
+    guide[plane + at] = variance / fmax(all, 1e-20f);
     for (int c = 0; c < CHANNELS; ++c) {
-        luminance += found[c] / balance[c];
-        total += 1.0f / balance[c];
+        guide[(2 + c) * plane + at] = found[c] - luminance;
+        guide[(2 + CHANNELS + c) * plane + at] = found[CHANNELS + c];
     }
-    guide[(size_t)y * cols + x] = luminance / total;
-    guide[((size_t)rows + y) * cols + x] = variance / fmax(all, 1e-20f);
 }
 
 __kernel void shape(
     // in:
-    __global const float *restrict guide,  // [2][rows][cols]
+    __global const float *restrict guide,  // [2 + 2 CHANNELS][rows][cols]
     // out:
     __global float *restrict ellipses,     // [3][rows][cols] inverse covariance: yy, yx, xx
+    __global float *restrict tints,        // [2][CHANNELS][rows][cols] means, variances
     // sizes:
     const int rows, const int cols)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= cols || y >= rows)
     float yy = 0.0f, yx = 0.0f, xx = 0.0f, total = 0.0f;
+    float mean[CHANNELS], square[CHANNELS];
+    for (int c = 0; c < CHANNELS; ++c) mean[c] = square[c] = 0.0f;
     for (int j = -3; j <= 3; ++j)
         for (int k = -3; k <= 3; ++k) {
             const int v = clamp(y + j, 0, rows - 1), u = clamp(x + k, 0, cols - 1);
@@ -174,6 +191,11 @@ __kernel void shape(
             yx += share * dy * dx;
             xx += share * dx * dx;
             total += share;
+            for (int c = 0; c < CHANNELS; ++c) {
+                const float tint = guide[((size_t)(2 + c) * rows + v) * cols + u];
+                mean[c] += share * tint;
+                square[c] += share * tint * tint;
+            }
         }
     yy /= total;
     yx /= total;
@@ -191,25 +213,32 @@ __kernel void shape(
     ellipses[at] = 0.5f * (a + b + (a - b) * cosine);
     ellipses[plane + at] = 0.5f * (a - b) * sine;
     ellipses[2 * plane + at] = 0.5f * (a + b - (a - b) * cosine);
+    for (int c = 0; c < CHANNELS; ++c) {
+        const float middle = mean[c] / total, own = guide[(2 + CHANNELS + c) * plane + at];
+        const float noise = own > 0.0f ? TINT / own : 0.0f;
+        tints[c * plane + at] = middle;
+        tints[(CHANNELS + c) * plane + at] = fmax(square[c] / total - middle * middle - noise, 0.0f);
+    }
 }
 
 __kernel void regress(
     // in:
-    __global const ushort *restrict raw,          // [FRAMES][rows][cols]
-    __global const float *restrict displacement,  // [FRAMES][tiles_y][tiles_x][2]
-    __global const float *restrict trusted,       // [FRAMES][h][w]
-    __global const float *restrict table,         // [5][FRAMES]
+    __global const ushort *restrict raw,          // [frames][rows][cols]
+    __global const float *restrict displacement,  // [frames][tiles_y][tiles_x][2]
+    __global const float *restrict trusted,       // [frames][h][w]
+    __global const float *restrict table,         // [5][frames]
     __global const int *restrict cfa,             // [PERIOD_Y][PERIOD_X]
     __global const float *restrict balance,       // [CHANNELS]
-    __global const float *restrict guide,         // [2][rows][cols]
+    __global const float *restrict guide,         // [2 + 2 CHANNELS][rows][cols]
     __global const float *restrict ellipses,      // [3][rows][cols]
+    __global const float *restrict tints,         // [2][CHANNELS][rows][cols]
     // out:
     __global float *restrict out,                 // [CHANNELS][high][wide]
     // params:
     const int reference, const float step,
     // sizes:
     const int tiles_y, const int tiles_x, const int rows, const int cols, const int h, const int w, const int high,
-    const int wide)
+    const int wide, const int frames)
 {
     const int x = get_global_id(0), y = get_global_id(1);
     GUARD(x >= wide || y >= high)
@@ -220,8 +249,14 @@ __kernel void regress(
     const float determinant = ellipse.x * ellipse.z - ellipse.y * ellipse.y;
     const float2 span = (float2)(fmax(sqrt(CUT * ellipse.z / determinant), WIDE),
                                  fmax(sqrt(CUT * ellipse.x / determinant), WIDE));
-    float found[CHANNELS];
+    float found[2 * CHANNELS];
     fit(raw, displacement, trusted, table, cfa, balance, found, ellipse, span, fmax(guide[at], 0.0f), v, u, reference,
-        tiles_y, tiles_x, rows, cols, h, w);
-    for (int c = 0; c < CHANNELS; ++c) out[((size_t)c * high + y) * wide + x] = found[c] / balance[c];
+        tiles_y, tiles_x, rows, cols, h, w, frames);
+    const float luminance = luminance_of(found, balance);
+    for (int c = 0; c < CHANNELS; ++c) {
+        const float mean = tints[c * plane + at], spread = tints[(CHANNELS + c) * plane + at] * found[CHANNELS + c];
+        found[c] = luminance + mean + spread / (spread + TINT) * (found[c] - luminance - mean);
+    }
+    const float off = luminance_of(found, balance) - luminance;
+    for (int c = 0; c < CHANNELS; ++c) out[((size_t)c * high + y) * wide + x] = (found[c] - off) / balance[c];
 }

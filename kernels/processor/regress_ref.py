@@ -4,8 +4,8 @@ import numpy as np
 
 from gpusim.kernels.processor.trust_ref import place_displacements
 
-ROUND, NARROWEST, WIDEST, WIDTH, NOISE = 0.8, 0.45, 2.0, 1.1, 0.5
-CUT, PEDESTAL, SLOPE, BEND, ROUNDING = 9.0, 1e-3, 1.0, 10.0, 1e-5
+ROUND, NARROWEST, WIDEST, WIDTH, NOISE = 0.8, 0.45, 2.0, 1.3, 0.5
+CUT, PEDESTAL, SLOPE, BEND, ROUNDING, TINT = 9.0, 1e-3, 1.0, 10.0, 1e-5, 0.25
 
 
 def regress(raw, displacement, trusted, *, cfa, table, balance, reference=0, enlarge=1.0):
@@ -15,16 +15,22 @@ def regress(raw, displacement, trusted, *, cfa, table, balance, reference=0, enl
     y, x = np.mgrid[:rows, :cols].astype(np.float64)
     level = frames.level(y, x)
     round_ = np.broadcast_to(np.array([1, 0, 1]) / ROUND**2, (rows, cols, 3))
-    found, weight = frames.fit(y, x, round_, level)
+    found, count, weight = frames.fit(y, x, round_, level)
     shares = (1 / frames.balance)[:, None, None]
     guide = (found * shares).sum(axis=0) / shares.sum()
+    noise = np.where(count > 0, TINT / np.where(count > 0, count, 1), 0)
+    means, spreads = tint_statistics(found - guide, noise)
     variance = 9 * np.pi / 5 * ROUND**2 / np.maximum(weight, 1e-20)
     ellipses = shape(guide, variance)
     high, wide = round(rows * enlarge), round(cols * enlarge)
     y, x = (np.mgrid[:high, :wide] + 0.5) / enlarge - 0.5
     at = nearest(y, rows), nearest(x, cols)
-    found, _ = frames.fit(y, x, ellipses[at], np.maximum(guide[at], 0))
-    return found * shares
+    found, count, _ = frames.fit(y, x, ellipses[at], np.maximum(guide[at], 0))
+    luminance = (found * shares).sum(axis=0) / shares.sum()
+    mean = means[:, *at]
+    ratio = spreads[:, *at] * count
+    found = luminance + mean + ratio / (ratio + TINT) * (found - luminance - mean)
+    return (found - (found * shares).sum(axis=0) / shares.sum() + luminance) * shares
 
 
 def nearest(place, size):
@@ -41,7 +47,10 @@ def shape(guide, variance):
     for j in range(-3, 4):
         for k in range(-3, 4):
             share = (1 - (j * j + k * k) / 20) ** 4
-            v, u = np.clip(np.arange(rows) + j, 0, rows - 1), np.clip(np.arange(cols) + k, 0, cols - 1)
+            v, u = (
+                np.clip(np.arange(rows) + j, 0, rows - 1),
+                np.clip(np.arange(cols) + k, 0, cols - 1),
+            )
             g = np.stack([slope[np.ix_(v, u)] for slope in slopes], axis=-1)
             tensor = tensor + share * g[..., :, None] * g[..., None, :]
             total += share
@@ -52,6 +61,25 @@ def shape(guide, variance):
     return np.stack([inverse[..., 0, 0], inverse[..., 0, 1], inverse[..., 1, 1]], axis=-1)
 
 
+def tint_statistics(tints, noise):
+    """Return means, and variances less noise, of tints (channels, rows, cols) over 7 x 7 pixels."""
+    rows, cols = tints.shape[1:]
+    mean, square, total = np.zeros(tints.shape), np.zeros(tints.shape), 0
+    for j in range(-3, 4):
+        for k in range(-3, 4):
+            share = (1 - (j * j + k * k) / 20) ** 4
+            v, u = (
+                np.clip(np.arange(rows) + j, 0, rows - 1),
+                np.clip(np.arange(cols) + k, 0, cols - 1),
+            )
+            tap = tints[:, v][:, :, u]
+            mean += share * tap
+            square += share * tap**2
+            total += share
+    mean /= total
+    return mean, np.maximum(square / total - mean**2 - noise, 0)
+
+
 class Frames:
     """The samples of all frames. Arguments as of `regress`."""
 
@@ -60,7 +88,9 @@ class Frames:
         self.raw, self.balance = raw, np.asarray(balance, np.float64)
         self.trusted, self.cfa = np.asarray(trusted, np.float64), np.asarray(cfa)
         self.reference, (rows, cols) = reference, raw.shape[1:]
-        self.channel = self.cfa[np.arange(rows)[:, None] % self.cfa.shape[0], np.arange(cols) % self.cfa.shape[1]]
+        self.channel = self.cfa[
+            np.arange(rows)[:, None] % self.cfa.shape[0], np.arange(cols) % self.cfa.shape[1]
+        ]
         self.tiles = np.asarray(displacement, np.float64)
         self.wide = reach_of(self.cfa)
 
@@ -105,7 +135,7 @@ class Frames:
         return np.maximum(total / np.where(weight > 0, weight, 1), 0)
 
     def fit(self, y, x, ellipses, level):
-        """Return balanced values (channels, ...) and the weights of all samples."""
+        """Return balanced values and weights (channels, ...), and the weights of all samples."""
         rows, cols = self.raw.shape[1:]
         dark, scale, shot, floor, full = self.table
         channels = len(self.balance)
@@ -121,7 +151,11 @@ class Frames:
                     dy, dx = v - at[..., 0], u - at[..., 1]
                     v, u = v.clip(0, rows - 1), u.clip(0, cols - 1)
                     usable &= self.raw[i][v, u] < full[i]
-                    e = ellipses[..., 0] * dy**2 + 2 * ellipses[..., 1] * dy * dx + ellipses[..., 2] * dx**2
+                    e = (
+                        ellipses[..., 0] * dy**2
+                        + 2 * ellipses[..., 1] * dy * dx
+                        + ellipses[..., 2] * dx**2
+                    )
                     kernel = np.maximum(1 - e / CUT, 0) ** 4 * usable
                     near_by = np.maximum(1 - (dy**2 + dx**2) / self.wide**2, 0) ** 2 * usable
                     channel = self.channel[v, u]
@@ -143,7 +177,7 @@ class Frames:
             normal[..., c, c] += count[..., c] == 0
             right[..., c] += np.where(count[..., c] == 0, level, 0)
         found = np.linalg.solve(normal, right[..., None])[..., :channels, 0]
-        return np.moveaxis(found, -1, 0), all_
+        return np.moveaxis(found, -1, 0), np.moveaxis(count, -1, 0), all_
 
 
 def reach_of(cfa):

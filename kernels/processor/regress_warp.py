@@ -21,6 +21,7 @@ CUT = wp.constant(regress_host.CUT)
 PEDESTAL = wp.constant(regress_host.PEDESTAL)
 SLOPE = wp.constant(regress_host.SLOPE)
 BEND = wp.constant(regress_host.BEND)
+TINT = wp.constant(regress_host.TINT)
 ROUNDING = wp.constant(regress_host.ROUNDING)
 vec5 = wp.types.vector(length=5, dtype=float)
 mat55 = wp.types.matrix(shape=(5, 5), dtype=float)
@@ -47,67 +48,15 @@ def place_in(
     place = wp.vec2(y, x)
     if i != reference:
         move = displacement_at(displacement, i, y, x, tiles_y, tiles_x, period_y, period_x)
-        place = wp.vec2(
-            wp.clamp(y + move[0], -1.0e6, 1.0e6), wp.clamp(x + move[1], -1.0e6, 1.0e6)
-        )
+        place = wp.vec2(wp.clamp(y + move[0], -1.0e6, 1.0e6), wp.clamp(x + move[1], -1.0e6, 1.0e6))
     return place
-
-
-@wp.kernel
-def shape(
-    # in:
-    guide: wp.array3d[float],
-    # out:
-    ellipses: wp.array3d[float],
-    # sizes:
-    rows: int,
-    cols: int,
-):
-    y, x = wp.tid()
-    yy = float(0.0)
-    yx = float(0.0)
-    xx = float(0.0)
-    total = float(0.0)
-    for j in range(-3, 4):
-        for k in range(-3, 4):
-            v = wp.clamp(y + j, 0, rows - 1)
-            u = wp.clamp(x + k, 0, cols - 1)
-            share = squared(squared(1.0 - float(j * j + k * k) / 20.0))
-            dy = 0.5 * (guide[0, wp.min(v + 1, rows - 1), u] - guide[0, wp.max(v - 1, 0), u])
-            dx = 0.5 * (guide[0, v, wp.min(u + 1, cols - 1)] - guide[0, v, wp.max(u - 1, 0)])
-            yy += share * dy * dy
-            yx += share * dy * dx
-            xx += share * dx * dx
-            total += share
-    yy /= total
-    yx /= total
-    xx /= total
-    variance = guide[1, y, x]
-    half = 0.5 * (yy + xx)
-    apart = 0.5 * (yy - xx)
-    length = wp.sqrt(apart * apart + yx * yx)
-    least = 1.0e-6 * variance
-    across = wp.max(half + length - NOISE * variance, least)
-    along = wp.max(half - length - NOISE * variance, least)
-    a = 1.0 / squared(
-        wp.clamp(WIDTH * wp.sqrt(wp.sqrt(variance / across)), NARROWEST, WIDEST)
-    )
-    b = 1.0 / squared(wp.clamp(WIDTH * wp.sqrt(wp.sqrt(variance / along)), NARROWEST, WIDEST))
-    cosine = float(0.0)
-    sine = float(0.0)
-    if length > 0.0:
-        cosine = apart / length
-        sine = yx / length
-    ellipses[0, y, x] = 0.5 * (a + b + (a - b) * cosine)
-    ellipses[1, y, x] = 0.5 * (a - b) * sine
-    ellipses[2, y, x] = 0.5 * (a + b - (a - b) * cosine)
 
 
 @cache
 def make_kernels(channels):
-    """Return `survey` and `regress` for a number of channels."""
+    """Return `survey`, `shape` and `regress` for a number of channels."""
     values = wp.types.vector(length=channels, dtype=float)
-    more = wp.types.vector(length=channels + 1, dtype=float)
+    more = wp.types.vector(length=2 * channels + 1, dtype=float)
     middles = wp.types.matrix(shape=(channels, 5), dtype=float)
 
     @wp.func
@@ -135,7 +84,7 @@ def make_kernels(channels):
         period_x: int,
         reach: float,
     ):
-        """Return one value per channel, and behind them the weight of all samples."""
+        """Return one value per channel, the weight of each, and of all samples."""
         count = values()
         sum = values()
         middle = middles()
@@ -166,11 +115,7 @@ def make_kernels(channels):
                     for u in range(left, last + 1):
                         dy = float(v) - at[0]
                         dx = float(u) - at[1]
-                        e = (
-                            ellipse[0] * dy * dy
-                            + 2.0 * ellipse[1] * dy * dx
-                            + ellipse[2] * dx * dx
-                        )
+                        e = ellipse[0] * dy * dy + 2.0 * ellipse[1] * dy * dx + ellipse[2] * dx * dx
                         d = (dy * dy + dx * dx) / (reach * reach)
                         kernel = squared(squared(wp.max(1.0 - e / CUT, 0.0)))
                         near = kernel + PEDESTAL * squared(wp.max(1.0 - d, 0.0))
@@ -230,8 +175,19 @@ def make_kernels(channels):
             found[c] = level
             if count[c] > 0.0:
                 found[c] = rest / count[c]
-        found[channels] = all
+            found[channels + c] = count[c]
+        found[2 * channels] = all
         return found
+
+    @wp.func
+    def luminance_of(values: more, balance: wp.array[float]):
+        """Return the mean of balanced values with the weights of white's light in them."""
+        sum = float(0.0)
+        total = float(0.0)
+        for c in range(channels):
+            sum += values[c] / balance[c]
+            total += 1.0 / balance[c]
+        return sum / total
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def survey(
@@ -314,13 +270,74 @@ def make_kernels(channels):
             period_x,
             reach,
         )
-        luminance = float(0.0)
-        total = float(0.0)
+        luminance = luminance_of(found, balance)
+        guide[0, y, x] = luminance
+        guide[1, y, x] = variance / wp.max(found[2 * channels], 1.0e-20)
         for c in range(channels):
-            luminance += found[c] / balance[c]
-            total += 1.0 / balance[c]
-        guide[0, y, x] = luminance / total
-        guide[1, y, x] = variance / wp.max(found[channels], 1.0e-20)
+            guide[2 + c, y, x] = found[c] - luminance
+            guide[2 + channels + c, y, x] = found[channels + c]
+
+    @wp.kernel(module="unique", module_options=OPTIONS)
+    def shape(
+        # in:
+        guide: wp.array3d[float],
+        # out:
+        ellipses: wp.array3d[float],
+        tints: wp.array4d[float],
+        # sizes:
+        rows: int,
+        cols: int,
+    ):
+        y, x = wp.tid()
+        yy = float(0.0)
+        yx = float(0.0)
+        xx = float(0.0)
+        total = float(0.0)
+        mean = values()
+        square = values()
+        for j in range(-3, 4):
+            for k in range(-3, 4):
+                v = wp.clamp(y + j, 0, rows - 1)
+                u = wp.clamp(x + k, 0, cols - 1)
+                share = squared(squared(1.0 - float(j * j + k * k) / 20.0))
+                dy = 0.5 * (guide[0, wp.min(v + 1, rows - 1), u] - guide[0, wp.max(v - 1, 0), u])
+                dx = 0.5 * (guide[0, v, wp.min(u + 1, cols - 1)] - guide[0, v, wp.max(u - 1, 0)])
+                yy += share * dy * dy
+                yx += share * dy * dx
+                xx += share * dx * dx
+                total += share
+                for c in range(channels):
+                    tint = guide[2 + c, v, u]
+                    mean[c] += share * tint
+                    square[c] += share * tint * tint
+        yy /= total
+        yx /= total
+        xx /= total
+        variance = guide[1, y, x]
+        half = 0.5 * (yy + xx)
+        apart = 0.5 * (yy - xx)
+        length = wp.sqrt(apart * apart + yx * yx)
+        least = 1.0e-6 * variance
+        across = wp.max(half + length - NOISE * variance, least)
+        along = wp.max(half - length - NOISE * variance, least)
+        a = 1.0 / squared(wp.clamp(WIDTH * wp.sqrt(wp.sqrt(variance / across)), NARROWEST, WIDEST))
+        b = 1.0 / squared(wp.clamp(WIDTH * wp.sqrt(wp.sqrt(variance / along)), NARROWEST, WIDEST))
+        cosine = float(0.0)
+        sine = float(0.0)
+        if length > 0.0:
+            cosine = apart / length
+            sine = yx / length
+        ellipses[0, y, x] = 0.5 * (a + b + (a - b) * cosine)
+        ellipses[1, y, x] = 0.5 * (a - b) * sine
+        ellipses[2, y, x] = 0.5 * (a + b - (a - b) * cosine)
+        for c in range(channels):
+            middle = mean[c] / total
+            own = guide[2 + channels + c, y, x]
+            noise = float(0.0)
+            if own > 0.0:
+                noise = TINT / own
+            tints[0, c, y, x] = middle
+            tints[1, c, y, x] = wp.max(square[c] / total - middle * middle - noise, 0.0)
 
     @wp.kernel(module="unique", module_options=OPTIONS)
     def regress(
@@ -333,6 +350,7 @@ def make_kernels(channels):
         balance: wp.array[float],
         guide: wp.array3d[float],
         ellipses: wp.array3d[float],
+        tints: wp.array4d[float],
         # out:
         out: wp.array3d[float],
         # params:
@@ -387,12 +405,19 @@ def make_kernels(channels):
             period_x,
             reach,
         )
+        luminance = luminance_of(found, balance)
         for c in range(channels):
-            out[c, y, x] = found[c] / balance[c]
+            mean = tints[0, c, row, col]
+            spread = tints[1, c, row, col] * found[channels + c]
+            tint = found[c] - luminance - mean
+            found[c] = luminance + mean + spread / (spread + TINT) * tint
+        off = luminance_of(found, balance) - luminance
+        for c in range(channels):
+            out[c, y, x] = (found[c] - off) / balance[c]
 
-    return {"survey": survey, "regress": regress}
+    return {"survey": survey, "shape": shape, "regress": regress}
 
 
 def specialise(kernel, CHANNELS, **others):
     """Return the kernel of this name for a number of channels."""
-    return shape if kernel == "shape" else make_kernels(CHANNELS)[kernel]
+    return make_kernels(CHANNELS)[kernel]

@@ -32,7 +32,9 @@ from gpusim.kernels.processor.refine import case_table, check_stack
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 
 LEAST = 1.5  # of q: the smallest bound
-FREEDOM = 5.6  # degrees of freedom of q per pixel of a block: splines make neighbours alike; measured
+FREEDOM = (
+    5.6  # degrees of freedom of q per pixel of a block: splines make neighbours alike; measured
+)
 SURE = 3.3  # [standard deviations] of q, which noise exceeds in 5e-4 of all blocks
 BAND = 1.7  # bound of no trust over the bound of full trust
 TEXTURE = 0.2  # share of the variance among samples that may be a difference
@@ -88,7 +90,9 @@ def trust(
     last = -1 if last is None else int(last)
     numbers = [int(reference), last, TEXTURE, MARGIN, *map(int, displacement.shape[1:3])]
     sizes = [count, rows, cols, h, w, *warp_only(device, py, px)]
-    launch("compare", misfit.shape, raw, displacement, device.array(table), misfit, *numbers, *sizes)
+    launch(
+        "compare", misfit.shape, raw, displacement, device.array(table), misfit, *numbers, *sizes
+    )
     launch("weigh", out.shape, misfit, out, *bounds(period), count, h, w)
     return out
 

@@ -7,7 +7,7 @@ from gpusim.kernels.processor.align import TILE
 TEXTURE, MARGIN, OUTSIDE = 0.2, 3.2, 1e6
 
 
-def trust(raw, displacement, *, reference=0, last=0, period=(2, 2), table):
+def trust(raw, displacement, *, reference=0, last=None, period=(2, 2), table):
     """Return the stage's result, see `trust.py`."""
     dark, scale, shot, floor, full = np.asarray(table, np.float64)
     count, rows, cols = raw.shape

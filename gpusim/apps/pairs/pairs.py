@@ -123,6 +123,8 @@ class Pairs:
         capture: Capture | None = None,
         relit: Callable[[Path, Scene, dict], Scene] | None = None,
     ):
+        if capture is not None:
+            capture.check_size("pairs")
         self._capture = capture
         self._simulator, self._photographs, self._opened = simulator, photographs, opened
         self._variety, self._each, self._seed = variety, each, seed
