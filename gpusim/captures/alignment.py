@@ -6,8 +6,8 @@ from gpusim.backends import Device
 from gpusim.kernels.processor.align import TILE
 from gpusim.kernels.processor.refine import refine
 
-STEPS = 5  # of the movement; each step's error is about the square of the one before
-TILE_STEPS = 3  # of a tile's own displacement
+STEPS = 3  # of the movement; each step's error is about the square of the one before
+TILE_STEPS = 2  # of a tile's own displacement
 FIRST_STEPS = 10  # of the fit to the searched displacements
 CLOSE = 1.0  # [pixel] deviation at which a searched displacement counts half
 SURE = 25.0  # gain of a displacement in chi squared: 5 standard deviations

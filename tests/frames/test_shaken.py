@@ -217,30 +217,14 @@ def test_what_moves_leaves_no_ghost_in_a_shaken_burst(monkeypatch):
     assert ghost() > 0.06
 
 
-@pytest.mark.slow
-def test_a_larger_picture_shows_more_than_an_enlarged_one():
-    """Lines 1.7 pixels apart, which one frame cannot show, against the merged picture enlarged by cubic splines."""
-
-    def lines(shift, per_pixel=1.0):
-        across = (np.arange(round(COLS * per_pixel)) + 0.5) / per_pixel - 0.5 + shift[1]
-        row = 0.4 + 0.35 * np.sinc(1 / 1.7) * np.sin(2 * np.pi * across / 1.7)
-        return np.broadcast_to(row[:, None], (round(ROWS * per_pixel), len(across), 3))
-
-    pictures = [mosaic(lines(shift), MOSAICS["Bayer"]) for shift in SHIFTS]
-    raw = np.array([digitise(WHITE * picture, k) for k, picture in enumerate(pictures)])
-    frames = Views(open_device("opencl:0"), raw[None], 0, MOSAICS["Bayer"], table())
-    # what aliases does not tell the displacements: they are given
-    moves = np.broadcast_to(-SHIFTS[:, None, None] / 2, (COUNT, 4, 5, 2)).astype(np.float32)
-
-    def merge(factor):
-        planes, _ = frames.merge(np.ascontiguousarray(moves), WHITE * SHARES, None, factor)
-        return np.moveaxis(planes, 0, -1) / (WHITE * SHARES)
-
-    for factor in (1.5, 2.0):
-        truth, edge = lines((0, 0), factor), round(EDGE * factor)
-        found = psnr(merge(factor), truth, edge)
-        assert found > psnr(moved(merge(1.0), (0, 0), factor), truth, edge) + 3
-        assert found > psnr(moved(developed(raw[0]), (0, 0), factor), truth, edge) + 6
+def test_a_larger_picture_is_better_than_one_frame_enlarged():
+    """Twice the rows and columns: eight frames have 9 dB less noise than the one that cubic splines enlarge."""
+    frames, truth = views(), light(per_pixel=2.0)
+    found = merged(frames, enlarge=2.0)
+    assert found.shape == truth.shape
+    single = moved(developed(frames.layers[0, 0]), (0, 0), 2.0)
+    # 3 dB less for details that `best` removes with the noise
+    assert psnr(found, truth, 2 * EDGE) > psnr(single, truth, 2 * EDGE) + 6
 
 
 # --- through a camera -------------------------------------------------------------------------------------------------
@@ -397,17 +381,9 @@ def test_options_of_bursts_and_brackets(tmp_path, capsys):
     large = gs.Burst(2, enlarge=2.0, merged=True)
     with pytest.raises(Conflict, match="enlarge"):
         large.output(simulator().loop(gs.chart("flat", size=(40, 36))), "codes")
+    given = ["--camera", "phone", "--exposure", "5ms", "--capture", "burst=2,merged,enlarge=2"]
     for command in ("video", "pairs"):
-        main(
-            [
-                command,
-                "macbeth",
-                "--capture",
-                "burst=2,merged,enlarge=2",
-                "-o",
-                str(tmp_path / "x.png"),
-            ]
-        )
+        main([command, "colorchecker", *given, "-o", str(tmp_path / "x.npz")])
         assert "enlarge" in capsys.readouterr().err
     frames = exposures([(0, 0), (0, 0)], (-3, -3))
     with pytest.raises(OutOfRange, match="enlarge"):
