@@ -509,13 +509,13 @@ def test_burst_at_rest_has_an_nth_of_the_variance():
 
 
 def test_burst_keeps_most_of_it_under_shake():
-    """Samples of one colour are two pixels apart, so that sharp edges between them are guessed: broken shifts cost."""
+    """Whole periods are averaged; fractions are fitted to all samples, smoothed where noise hides what changes."""
     # as at rest: the deviations scatter by 1 % together, 2 % for what is left out, 2 % for displacements of few details
     assert gain_of(0.02, "whole") > 0.95 * np.sqrt(COUNT)
     assert gain_of(0.2, "whole") > 0.95 * np.sqrt(COUNT)
-    # no theory for these: 0.89 and 0.50 measured, less a tenth; edges that stand out of the noise are not averaged
-    assert gain_of(0.02, "broken") > 0.8 * np.sqrt(COUNT)
-    assert gain_of(0.2, "broken") > 0.45 * np.sqrt(COUNT)
+    # no theory for these: 1.2 and .7 measured, less a tenth; half a pixel is not sharper than the noise allows
+    assert gain_of(0.02, "broken") > 1.05 * np.sqrt(COUNT)
+    assert gain_of(0.2, "broken") > 0.6 * np.sqrt(COUNT)
 
 
 @pytest.mark.parametrize(("kind", "level"), [("whole", 0.2), ("broken", 0.2), ("whole", 0.02)])
