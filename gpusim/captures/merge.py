@@ -25,6 +25,7 @@ from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.report import StageReport
 from gpusim.pipeline.simulator import Simulator
 
+NEVER = 65536.0  # [DN] that no number reaches
 MARGIN = 5.0  # [standard deviations of a pixel] to a full one
 
 
@@ -213,6 +214,9 @@ def merge_burst(
     dark = sensor.noise.operating_dark_current * times[0]
     with device.timed() as ms:
         views = _views(simulator, frames, replace_defects(simulator, frames), int(reference))
+        views.table[4] = (
+            NEVER  # all frames are full at the same light: their mean is as clipped as each
+        )
         displacement, planes = views.align(), None
         stages = dict(ALIGNED)
         if enlarge > 1 or (can_fit and not views.is_whole(displacement)):
@@ -271,8 +275,8 @@ def _views(simulator, frames, raw, reference):
 
 
 def _demosaicker(simulator, frame):
-    """Return the function that demosaicks digital numbers as a frame's camera does, for `Views.merge`."""
-    camera, device = frame.camera, simulator.device
+    """Return the function that demosaicks digital numbers to digital numbers as a frame's camera does."""
+    camera, device, sensor = frame.camera, simulator.device, frame.camera.sensor
     processor = dataclasses.replace(camera.processor, defects="none", denoise=0.0, shading=False)
     plain = dataclasses.replace(camera, processor=processor)
     developer = Developer(plain, device, simulator.readout.averaged)
@@ -280,7 +284,8 @@ def _demosaicker(simulator, frame):
     def develop(mosaic):
         mosaic = device.array(np.ascontiguousarray(mosaic), np.uint16)
         values = developer.demosaic(mosaic, white=frame.rendering.neutral, blur=frame.blur)
-        return np.array(device.numpy(values))
+        values = np.array(device.numpy(values))
+        return sensor.dark_level + (sensor.white_level - sensor.dark_level) * values
 
     return develop
 

@@ -193,8 +193,8 @@ class Views:
         Args:
             displacement: Displacements [period], of `align`.
             white: Rates of white in each channel [e- s-1].
-            develop: Function that returns the camera values (C, rows, cols) of a mosaic of digital
-                numbers, 1 at `table` "full".
+            develop: Function that demosaicks digital numbers (rows, cols) to digital numbers, float
+                (C, rows, cols).
             enlarge: Places per pixel along rows and columns.
         """
         dark, scale, *_, full = self.table
@@ -239,16 +239,15 @@ class Views:
 
         table = self.table.copy()
         dark, scale, _, _, full = self.table
-        found = []
+        most, found = self.layers[0].max(axis=(1, 2)) + 1.0, []
         for i, mosaic in enumerate(self.layers[0]):
-            values = develop(mosaic)
-            numbers = np.rint(np.clip(PEDESTAL + SPAN * values, 0, TOP - 1)).astype(np.uint16)
+            parts = (develop(mosaic) - dark[i]) / (most[i] - dark[i])
+            numbers = np.rint(np.clip(PEDESTAL + SPAN * parts, 0, TOP - 1)).astype(np.uint16)
             # demosaicking has mixed full pixels into their neighbours
             numbers[:, maximum_filter(mosaic >= full[i], 2 * MIXED + 1)] = TOP
             found.append(numbers)
         table[0], table[4] = PEDESTAL, TOP
-        # a full mosaic has the value 1
-        table[1] = (full - dark) * scale / SPAN
+        table[1] = (most - dark) * scale / SPAN
         return np.ascontiguousarray(np.stack(found, axis=1)), table
 
 

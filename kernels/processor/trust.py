@@ -119,7 +119,7 @@ def cases():
     random = np.random.default_rng(7)
     why = (
         "in 2^-24: 16 taps, 20 roundings of up to 4095 numbers, squared and cancelled by means of squares 2 20 "
-        "4095^2 of at least 25 / 9 numbers squared of noise: 0.03 / high of a misfit where texture counts, which "
+        "4095^2 of at least 4 numbers squared of noise: 0.03 / high of a misfit where texture counts, which "
         "is then 1 / TEXTURE smaller: 3e-3; places that round to another sample do not occur"
     )
     for period, rows, cols, count in (
@@ -130,14 +130,14 @@ def cases():
         ((2, 2), 3, 3, 2),
         ((2, 2), 9, 12, 1),
     ):
-        raw = moving_picture(random, np.zeros((count, 2), int), rows, cols, 3 * max(period))
+        raw = moving_picture(random, np.zeros((count, 2), int), rows, cols, max(period))
         raw = raw // 2 + 100
         table = case_table(count)
-        table[1:4] = np.array([[0.5], [0.5], [9.0]])
+        table[1:4] = np.array([[0.5], [0.05], [4.0]])
         raw[-1, rows // 2 :, cols // 2 :] += 30
         raw[-1, :2, :2] = 4000
         tiles = (max(1, -(-(n // p) // TILE)) for n, p in zip((rows, cols), period, strict=True))
-        displacement = random.normal(0, 0.2, (count, *tiles, 2)).astype(np.float32)
+        displacement = random.normal(0, 0.5, (count, *tiles, 2)).astype(np.float32)
         inputs = {
             "raw": raw,
             "displacement": displacement,
