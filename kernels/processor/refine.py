@@ -73,8 +73,13 @@ def refine(
     count, rows, cols = raw.shape
     tiles = displacement.shape[1:3]
     raw, displacement = device.array(raw, np.uint16), device.array(displacement)
-    defines = {"TILE": TILE, "PERIOD_Y": int(period[0]), "PERIOD_X": int(period[1])}
-    defines |= {"FULL": f"{FULL:g}f", "MARGIN": f"{MARGIN}f"}
+    defines = {
+        "TILE": TILE,
+        "PERIOD_Y": int(period[0]),
+        "PERIOD_X": int(period[1]),
+        "FULL": f"{FULL:g}f",
+        "MARGIN": f"{MARGIN}f",
+    }
     launch = functools.partial(device.launch, "processor.refine", defines=defines)
     sizes = [count, rows, cols, *warp_only(device, *map(int, period))]
     plane, out = device.empty((count, rows, cols)), device.empty((count, *tiles, SUMS))
