@@ -87,6 +87,7 @@ class CudaDevice:
     """One of the two, or the host ("cpu", -1)."""
 
     is_primary, max_shared_memory_per_block, sm_count, free_memory = True, 48 * 1024, 2, 2**32
+    arch = 75  # without matrix units
 
     def __init__(self, ordinal):
         self.ordinal, self.is_cuda, self.is_cpu = ordinal, ordinal >= 0, ordinal < 0

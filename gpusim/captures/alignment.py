@@ -59,7 +59,7 @@ def align_frames(
         return np.array(device.numpy(found), np.float64)
 
     first = sums(searched)
-    model = _fit_searched(searched, first[..., 0] + first[..., 2], basis)
+    model = _fit_search(searched, first[..., 0] + first[..., 2], basis)
     # a displacement in whole periods, as of a camera at rest, is kept if noise explains the step away from it
     whole = np.zeros_like(model)
     whole[:, 0] = np.rint(model[:, 0] / period) * period
@@ -109,7 +109,7 @@ def _evaluate(basis, model):
     return np.einsum("yxk,fkd->fyxd", basis, model)
 
 
-def _fit_searched(searched, weight, basis):
+def _fit_search(searched, weight, basis):
     """Return models (frames, 3, 2) [pixel] that most of the searched displacements fit.
 
     weight: (frames, tiles_y, tiles_x), large where the content tells a displacement.

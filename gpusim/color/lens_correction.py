@@ -7,7 +7,7 @@ from gpusim.data.lights import illuminant
 from gpusim.data.weights import product_weights
 from gpusim.domain.camera import Camera
 from gpusim.domain.learned import XYZ
-from gpusim.domain.spectrum import photons_from_energy, values_of
+from gpusim.domain.spectrum import photons_from_energy
 from gpusim.optics.correction import LensCorrection
 
 
@@ -23,7 +23,7 @@ def find_correction(camera: Camera, binning: tuple[int, int] = (1, 1)) -> LensCo
     """
     optics, letters = camera.optics, planes_of(camera)
     excess: tuple[float, ...] = (0.0,)
-    if optics.model != "none" and letters != XYZ and np.any(values_of(optics.lateral_color)):
+    if optics.has_lateral_color and letters != XYZ:
         light = photons_from_energy(illuminant(camera.processor.target))
         weights = product_weights(light.wavelengths, light, efficiency(camera, letters))
         weights = np.atleast_2d(weights)

@@ -207,6 +207,11 @@ class Optics:
         """
         return tabulate(self.transmission, wavelengths)
 
+    @property
+    def has_lateral_color(self) -> bool:
+        """Whether wavelengths are imaged at different heights; without blur they are not."""
+        return self.model != "none" and bool(np.any(values_of(self.lateral_color)))
+
     def lateral_color_at(self, wavelengths: np.ndarray) -> np.ndarray:
         """Return the relative excess of the image height.
 

@@ -236,7 +236,7 @@ class _Prepared:
     """A network on a device.
 
     weights: of each layer, outputs in groups, (groups, inputs, 9, MADE); of GPUs all of an input
-    together, (inputs, 9, outputs / MADE, MADE). With `half` as float16, see `_arranged`.
+    together, (inputs, 9, outputs / MADE, MADE). With `half` as float16, see `_arrange_weights`.
     """
 
     def __init__(self, device: Device, trained: Network, half: bool):
@@ -248,7 +248,9 @@ class _Prepared:
         for weight, bias in zip(trained.weights, trained.biases, strict=True):
             if half:
                 more = _pad_to_edge(len(bias)) - len(bias)
-                self.weights.append(device.array(_arranged(weight).view(np.uint16), np.uint16))
+                self.weights.append(
+                    device.array(_arrange_weights(weight).view(np.uint16), np.uint16)
+                )
                 self.biases.append(device.array(np.pad(bias, (0, more))))
                 continue
             grouped = weight.reshape(-1, made, weight.shape[1], 9)
@@ -261,7 +263,7 @@ class _Prepared:
         return 2 if number == self.layers - 1 else int(number > 0)
 
 
-def _arranged(weight):
+def _arrange_weights(weight):
     """Return weights as network_half.cl reads them, float16, (9, inputs / 16, outputs / 8, 128).
 
     In step s, the work-item 4 g + t holds inputs t inputs / 4 + 4 s .. + 3, and column g of tile n,

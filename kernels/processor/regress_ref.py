@@ -94,7 +94,7 @@ class Frames:
         self.tiles = np.asarray(displacement, np.float64)
         self.wide = reach_of(self.cfa)
 
-    def seen(self, y, x):
+    def iterate_frames(self, y, x):
         """Yield number, trust and places of each frame for places of the reference."""
         rows, cols = self.raw.shape[1:]
         block = (nearest(y, rows) // self.cfa.shape[0], nearest(x, cols) // self.cfa.shape[1])
@@ -122,7 +122,7 @@ class Frames:
         rows, cols = self.raw.shape[1:]
         dark, scale, shot, floor, _ = self.table
         total = weight = np.zeros(y.shape)
-        for i, share, at in self.seen(y, x):
+        for i, share, at in self.iterate_frames(y, x):
             own = share / (shot[i] + floor[i])
             near = np.floor(at + 0.5).astype(int)
             for j in (-1, 0, 1):
@@ -142,7 +142,7 @@ class Frames:
         normal = np.zeros((*y.shape, channels + 5, channels + 5))
         right, all_ = np.zeros((*y.shape, channels + 5)), np.zeros(y.shape)
         reach = int(np.ceil(max(self.wide, 3 * WIDEST))) + 1
-        for i, share, at in self.seen(y, x):
+        for i, share, at in self.iterate_frames(y, x):
             near = np.floor(at + 0.5).astype(int)
             for j in range(-reach, reach + 1):
                 for k in range(-reach, reach + 1):

@@ -27,7 +27,7 @@ def spline(s: float):
 
 
 @wp.func
-def held(i: int, n: int, period: int):
+def hold_place(i: int, n: int, period: int):
     """Return the place; outside, the last one at the same place in the period."""
     j = i
     if j < 0:
@@ -38,7 +38,7 @@ def held(i: int, n: int, period: int):
 
 
 @wp.func
-def smoothed(
+def smooth_sample(
     raw: wp.array3d[wp.uint16],
     table: wp.array2d[float],
     i: int,
@@ -54,12 +54,12 @@ def smoothed(
     """Return mean and mean of squares of samples a period apart, and whether any is full."""
     found = wp.vec3(0.0, 0.0, 0.0)
     for a in range(4):
-        v = held(y + (a - 1) * period_y, rows, period_y)
+        v = hold_place(y + (a - 1) * period_y, rows, period_y)
         if wy[a] != 0.0 and v >= 0:
             line = float(0.0)
             squares = float(0.0)
             for b in range(4):
-                u = held(x + (b - 1) * period_x, cols, period_x)
+                u = hold_place(x + (b - 1) * period_x, cols, period_x)
                 if wx[b] != 0.0 and u >= 0:
                     number = float(raw[i, v, u])
                     value = (number - table[0, i]) * table[1, i]
@@ -125,7 +125,7 @@ def compare(
                 wx = spline(moved_x - wp.floor(moved_x))
                 v = y + int(wp.floor(moved_y)) * period_y
                 u = x + int(wp.floor(moved_x)) * period_x
-                other = smoothed(raw, table, i, wy, wx, v, u, rows, cols, period_y, period_x)
+                other = smooth_sample(raw, table, i, wy, wx, v, u, rows, cols, period_y, period_x)
                 light = wp.max(other[0], 0.0)
                 noise = table[2, i] * light + table[3, i]
                 left = (table[4, i] - table[0, i]) * table[1, i] - other[0]
@@ -133,7 +133,7 @@ def compare(
                     is_full = True
                 pixels += 1.0
                 if i != reference:
-                    own = smoothed(
+                    own = smooth_sample(
                         raw, table, reference, still, still, y, x, rows, cols, period_y, period_x
                     )
                     if own[2] == 0.0 and other[2] == 0.0:
