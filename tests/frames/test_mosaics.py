@@ -31,6 +31,7 @@ WITH_FILTERS = (
     "cygm",
     "rgbe",
 )
+LARGER_PERIODS = ("x-trans", "rgbw-kodak", "rgbn-4x4")
 
 
 def phone(mosaic, demosaic="auto", **sensor):
@@ -97,7 +98,13 @@ def errors_of(mosaic, methods):
     return found
 
 
-@pytest.mark.parametrize("mosaic", WITH_FILTERS)
+@pytest.mark.parametrize(
+    "mosaic",
+    [  # optics of the larger periods are built for seconds
+        pytest.param(name, marks=pytest.mark.slow if name in LARGER_PERIODS else ())
+        for name in WITH_FILTERS
+    ],
+)
 def test_built_in_filters_are_the_default_and_better(mosaic):
     """Dead leaves through the phone without noise: fewer errors than by weighted means."""
     errors = errors_of(mosaic, ("auto", "learned", "bilinear"))
