@@ -1,6 +1,5 @@
 """A camera's image processor on a device: the steps from digital numbers to a picture."""
 
-import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from math import prod
@@ -13,7 +12,6 @@ from gpusim.color.balance import COMPARES_LIGHTS, blocks_of
 from gpusim.color.color import transform_set
 from gpusim.color.lens_correction import find_correction
 from gpusim.color.rendering import Rendering, planes_of, rebalance, transform_arguments
-from gpusim.color.root_polynomial import linearise
 from gpusim.domain.camera import Camera
 from gpusim.domain.display import Display, decoding
 from gpusim.domain.learned import XYZ
@@ -27,34 +25,38 @@ from gpusim.kernels.display.encode import encode, thresholds
 from gpusim.kernels.processor.adaptive import adaptive
 from gpusim.kernels.processor.best import best, root_gain
 from gpusim.kernels.processor.bilinear import bilinear
-from gpusim.kernels.processor.color import color
 from gpusim.kernels.processor.defects import defects
 from gpusim.kernels.processor.denoise import denoise
 from gpusim.kernels.processor.develop import develop
 from gpusim.kernels.processor.gamut import lms_matrix
 from gpusim.kernels.processor.guided import guided
-from gpusim.kernels.processor.highlights import highlights
 from gpusim.kernels.processor.interpolate import interpolate
 from gpusim.kernels.processor.learned import learned
-from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE, MOST_BALANCE
+from gpusim.kernels.processor.levels import CORRECTED_BLACK, CORRECTED_WHITE
 from gpusim.kernels.processor.linear import linear
-from gpusim.kernels.processor.local_tone import local_tone
 from gpusim.kernels.processor.malvar import malvar
 from gpusim.kernels.processor.multiscale import multiscale_memory
 from gpusim.kernels.processor.network import network, network_memory
 from gpusim.kernels.processor.quantise import quantise
-from gpusim.kernels.processor.rectify import rectify
 from gpusim.kernels.processor.shade import shade
-from gpusim.kernels.processor.sharpen import detail_gain, sharpen
 from gpusim.kernels.processor.thumbnail import thumbnail
-from gpusim.optics.correction import LensCorrection
 from gpusim.pipeline.balanced import demosaic_balanced, filter_channels
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.demosaicked_noise import LEVELS, denoise_planes, measure_noise, white_noise
+from gpusim.pipeline.finishing import (
+    apply_colors,
+    clipping_of,
+    colors_of,
+    correct_lens,
+    lift_shadows,
+    neutral_of,
+    rebuild_highlights,
+    sharpen_picture,
+)
+from gpusim.pipeline.stacked import correct_layers, separate_layers
 from gpusim.pipeline.step import Chain, Rate, Step, Values
 
 STANDS_OUT = 6.0  # [sigma] of noise by which a defective pixel exceeds its neighbours
-SHARPENED = 3.0  # [sigma] of noise at which half of a detail's sharpening is left
 # share of the shot noise that `best` is told before denoising, so that it leaves detail; it is told all of the noise
 # without light, as else its roots would darken black
 BEST_SHOT_NOISE = 0.4
@@ -587,114 +589,9 @@ class Developer:
         return {step.stage: step.words for step in self.steps((2, 2)) if step.words}
 
 
-def correct_layers(raw, *others, correct, layers, device, **constants) -> Any:
-    """Return raw values corrected by a stage, each layer of stacked pixels separately.
-
-    others: further inputs of the stage: a map of the shape of `raw`, or gains of the mosaic's positions.
-    """
-    if layers == 1:
-        return correct(raw, *others, **constants, device=device)
-    rows, cols = raw.shape
-    stack = device.reshape(raw, (layers, rows // layers, cols))
-    split = [_split(device, other, raw.shape, layers) for other in others]
-    parts = [
-        correct(
-            device.part(stack, layer), *(part[layer] for part in split), **constants, device=device
-        )
-        for layer in range(layers)
-    ]
-    return device.reshape(device.stack(parts), (rows, cols))
-
-
-def _split(device, other, shape, layers):
-    """Return an input of a correction for each layer."""
-    if other is None:
-        return [None] * layers
-    if not isinstance(other, device.array_type) and other.ndim == 2:
-        other = device.array(np.asarray(other) != 0, np.uint8)
-    if tuple(other.shape) != tuple(shape):
-        return [other[layer : layer + 1] for layer in range(layers)]
-    maps = device.reshape(other, (layers, shape[0] // layers, shape[1]))
-    return [device.part(maps, layer) for layer in range(layers)]
-
-
-def separate_layers(raw, *, correct, layers, device, **constants) -> Any:
-    """Return the layers of stacked pixels as planes (C, rows, cols)."""
-    rows, cols = raw.shape
-    values = correct_layers(raw, correct=correct, layers=layers, device=device, **constants)
-    return device.reshape(values, (layers, rows // layers, cols))
-
-
-def neutral_of(rendering: Rendering) -> np.ndarray:
-    """Return the camera values of white."""
-    return rendering.neutral
-
-
-def colors_of(rendering: Rendering) -> tuple:
-    """Return a rendering's colour matrix and ceiling."""
-    return rendering.display_from_camera, rendering.ceiling
-
-
 def rendering_name(camera: Camera) -> str:
     """Return the name of the value that is the rendering of a camera's pictures."""
     return "picture rendering" if camera.processor.estimates_white else "rendering"
-
-
-def clipping_of(rendering: Rendering) -> tuple:
-    """Return the camera values of white and of saturation."""
-    return rendering.neutral, rendering.saturation
-
-
-def rebuild_highlights(planes, clipping, *, device) -> Any:
-    """Return camera values (C, rows, cols) with clipped channels rebuilt."""
-    neutral, saturation = clipping
-    neutral = np.maximum(neutral, neutral.max() / MOST_BALANCE)  # of a channel blind to the light
-    return highlights(planes, neutral, saturation=saturation, device=device)
-
-
-def correct_lens(planes, *, correction, device) -> Any:
-    """Return camera values (C, rows, cols) without the lens's distortion and lateral colour."""
-    return rectify(planes, _nodes_on(device, correction, tuple(planes.shape[1:])), device=device)
-
-
-@functools.lru_cache(maxsize=4)  # constants of a camera: up to 2 MB at 1080p
-def _nodes_on(device, correction: LensCorrection, shape):
-    return device.array(correction.nodes(shape))
-
-
-def apply_colors(planes, colors, *, device, is_clipped=True) -> Any:
-    """Return linear display RGB (3, rows, cols) of camera values, before the tone curve.
-
-    is_clipped: whether channels are clipped where white clips; else highlights are rebuilt.
-    """
-    matrix, ceiling = colors
-    return color(
-        planes, device.array(matrix), ceiling=ceiling if is_clipped else None, device=device
-    )
-
-
-def sharpen_picture(linear_rgb, colors, kernel, *, strength, luminance, noise, device) -> Any:
-    """Return linear display RGB, sharpened by the camera's own blur where its noise allows it.
-
-    kernel: as for `Developer.sharpen`. noise: of camera values: variance per value, and deviation without light.
-    """
-    if kernel is None:
-        return linear_rgb
-    matrix, ceiling = colors  # the ceiling has the colour of white
-    matrix = linearise(np.asarray(matrix, np.float64), ceiling)
-    weights = luminance @ matrix  # of camera values in the luminance
-    grey = np.maximum(np.linalg.pinv(matrix) @ np.ones(3), 0)  # camera values of display white
-    variances = np.array([noise[0] * weights**2 @ grey, noise[1] ** 2 * weights @ weights])
-    halved = SHARPENED**2 * detail_gain(kernel) * variances
-    return sharpen(linear_rgb, kernel, luminance, halved, strength=strength, device=device)
-
-
-def lift_shadows(linear_rgb, colors, *, strength, luminance, dark_noise, device) -> Any:
-    """Return linear display RGB with dark regions lifted, but not noise. dark_noise: of camera values."""
-    matrix, ceiling = colors
-    weights = luminance @ linearise(np.asarray(matrix, np.float64), ceiling)
-    noise = dark_noise * float(np.linalg.norm(weights))
-    return local_tone(linear_rgb, luminance, strength=strength, noise=noise, device=device)
 
 
 def develop_at_once(raw, colors, edges, *, device, **constants) -> Any:

@@ -31,7 +31,7 @@ WITH_FILTERS = (
     "cygm",
     "rgbe",
 )
-LARGER_PERIODS = ("x-trans", "rgbw-kodak", "rgbn-4x4")
+LARGER_PERIODS = ("x-trans", "quad-bayer", "rgbw-kodak", "rgbn-4x4")
 
 
 def phone(mosaic, demosaic="auto", **sensor):

@@ -100,7 +100,7 @@ def test_noise_is_not_sharpened(monkeypatch):
         return (frame.linear @ frame.camera.display.xyz_from_rgb[1]).std()
 
     plain, with_threshold = deviation(0.0), deviation(2.0)
-    monkeypatch.setattr("gpusim.pipeline.developer.SHARPENED", 0.0)
+    monkeypatch.setattr("gpusim.pipeline.finishing.SHARPENED", 0.0)
     without = deviation(2.0)
     assert with_threshold < 1.15 * plain and without > 1.5 * plain
 

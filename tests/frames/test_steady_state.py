@@ -346,7 +346,7 @@ def test_a_step_that_reads_is_found(device, monkeypatch):
     def through_the_host(*arguments, **options):
         return device.array(np.array(device.numpy(color(*arguments, **options))))
 
-    monkeypatch.setattr("gpusim.pipeline.developer.color", through_the_host)
+    monkeypatch.setattr("gpusim.pipeline.finishing.color", through_the_host)
     loop = gs.Simulator(camera_with(**FIXED, processor={"denoise": 1.0}), device=device).loop(
         scenes_of("cube", device)[0]
     )
