@@ -61,9 +61,7 @@ def develop_merged(
 
     cells = old if planes is None else dataclasses.replace(old, stacked=True)
     gains = shading
-    if (
-        planes is not None
-    ):  # all channels of a pixel are developed, and their noise removed, as of stacked pixels
+    if planes is not None:  # developed, and their noise removed, as of stacked pixels
         plain = {"demosaic": "auto", "network": None, "denoise": processor_before.denoising}
         layered = dataclasses.replace(processor, **plain)
         if shading is not None and not old.stacked:
@@ -89,6 +87,10 @@ def develop_merged(
             "full_well": full,
             "noise": chip,
             "pixel_pitch": old.pixel_pitch / enlarge,
+            "offset": tuple(
+                enlarge * shift - centre
+                for shift, centre in zip(old.displacement, old.centre, strict=True)
+            ),
         }
         camera = dataclasses.replace(
             frame.camera, sensor=dataclasses.replace(old, **operated), processor=processor

@@ -29,4 +29,5 @@ def find_correction(camera: Camera, binning: tuple[int, int] = (1, 1)) -> LensCo
         weights = np.atleast_2d(weights)
         mean = weights @ optics.lateral_color_at(light.wavelengths) / weights.sum(axis=1)
         excess = tuple(mean.tolist())
-    return LensCorrection(optics, camera.sensor.pixel_pitch, binning, excess)
+    sensor = camera.sensor
+    return LensCorrection(optics, sensor.pixel_pitch, sensor.displacement, binning, excess)

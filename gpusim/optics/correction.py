@@ -24,6 +24,7 @@ class LensCorrection:
     Attributes:
         optics: The lens.
         pitch: Distance of the sensor's pixels [m].
+        displacement: Of the pixel grid from the lens's axis, (rows, cols) [pixel].
         binning: Pixels that are binned, along columns and along rows.
         excess: Image height in each plane over the height at the nominal wavelength, minus one;
             one for all planes, or one for each.
@@ -31,6 +32,7 @@ class LensCorrection:
 
     optics: Optics
     pitch: float
+    displacement: tuple[float, float]
     binning: tuple[int, int]
     excess: tuple[float, ...]
 
@@ -56,7 +58,8 @@ class LensCorrection:
             OutOfRange: A calibration is of another aspect ratio.
         """
         whole = shape[0] * self.binning[0], shape[1] * self.binning[1]
-        zoom = magnification(self.optics, whole, self.pitch)
+        zoom = magnification(self.optics, whole, self.pitch, self.displacement)
+        down, across = (shift * self.pitch for shift in self.displacement)
         edges = [np.linspace(0, n, max(2, -(-n // STEP) + 1)) - 0.5 for n in shape]
         rows, cols = np.meshgrid(*edges, indexing="ij")
         y, x = (
@@ -65,7 +68,9 @@ class LensCorrection:
         )
         maps = []
         for excess in self.excess:
-            places = _image(self.optics, whole, self.pitch, zoom * y, zoom * x, excess)
+            ideal = zoom * (y + down), zoom * (x + across)
+            v, u = _image(self.optics, whole, self.pitch, *ideal, excess)
+            places = v - down, u - across
             moved = [
                 place / (parts * self.pitch) + n / 2 - 0.5 - at
                 for place, n, parts, at in zip(
@@ -76,8 +81,13 @@ class LensCorrection:
         return np.array(maps, np.float32)
 
 
-def magnification(optics: Optics, shape: tuple[int, int], pitch: float) -> float:
-    """Return the distance of a corrected picture's points from its middle over that of a pinhole's picture.
+def magnification(
+    optics: Optics,
+    shape: tuple[int, int],
+    pitch: float,
+    displacement: tuple[float, float] = (0.0, 0.0),
+) -> float:
+    """Return the distance of a pinhole's points from the axis over the distance in the corrected picture.
 
     It is 1, or less if the corrected picture would else look beyond the frame.
 
@@ -85,21 +95,23 @@ def magnification(optics: Optics, shape: tuple[int, int], pitch: float) -> float
         optics: The lens.
         shape: Rows and columns of the frame [pixel].
         pitch: Pixel pitch [m].
+        displacement: Of the pixel grid from the lens's axis, (rows, cols) [pixel].
 
     Raises:
         OutOfRange: A calibration is of another aspect ratio.
     """
     half_y, half_x = (n * pitch / 2 for n in shape)
+    down, across = (shift * pitch for shift in displacement)
     along = np.linspace(-1, 1, EDGE_PLACES)
-    y = half_y * np.concatenate([along, along, along * 0 - 1, along * 0 + 1])
-    x = half_x * np.concatenate([along * 0 - 1, along * 0 + 1, along, along])
+    y = down + half_y * np.concatenate([along, along, along * 0 - 1, along * 0 + 1])
+    x = across + half_x * np.concatenate([along * 0 - 1, along * 0 + 1, along, along])
     excess = max(0.0, float(np.max(values_of(optics.lateral_color), initial=0.0)))
 
     def is_inside(zoom):
         found = _image(optics, shape, pitch, zoom * y, zoom * x, excess)
         return all(
-            np.abs(place).max() <= half * (1 + 1e-9)
-            for place, half in zip(found, (half_y, half_x), strict=True)
+            np.abs(place - shift).max() <= half * (1 + 1e-9)
+            for place, shift, half in zip(found, (down, across), (half_y, half_x), strict=True)
         )
 
     if is_inside(1.0):

@@ -88,7 +88,8 @@ class _Placing:
         if scene.projection == IMAGE:  # displaced already
             distortion = None
         elif camera.processor.corrects_lens:  # the picture of a pinhole, magnified
-            zoom = magnification(optics, scene.shape, sensor.pixel_pitch)
+            displaced = sensor.displacement
+            zoom = magnification(optics, scene.shape, sensor.pixel_pitch, displaced)
             distortion = RadialPolynomial(0.0, 0.0, sensor.pixel_pitch, 1 / zoom)
         elif optics.distortion is not None:
             distortion = fit_to_frame(optics.distortion, scene.shape, sensor.pixel_pitch)

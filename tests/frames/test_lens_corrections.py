@@ -51,9 +51,10 @@ def _centres(linear, places):
 
 def _moved(camera):
     """Largest distance of green dots from a pinhole's, and of red and blue ones from these [pixel]."""
-    zoom = magnification(camera.optics, (ROWS, COLS), camera.sensor.pixel_pitch)
+    sensor = camera.sensor
+    zoom = magnification(camera.optics, (ROWS, COLS), sensor.pixel_pitch, sensor.displacement)
     zoom = zoom if camera.processor.corrects_lens else 1.0
-    wanted = (GRID - MIDDLE) / zoom + MIDDLE
+    wanted = (GRID - MIDDLE) / zoom + MIDDLE - sensor.displacement
     wanted = wanted[(np.abs(wanted - MIDDLE) < MIDDLE - 12).all(1)]
     found = _centres(gs.Simulator(camera, device="opencl")(_dots()).linear, wanted)
     beside = found[..., [0, 2]] - found[..., [1]]
@@ -66,6 +67,12 @@ def test_a_grid_comes_out_straight(k2):
     crooked, _ = _moved(_camera(k2))
     straight, _ = _moved(_camera(k2, lens_corrections=True))
     assert crooked > 3 and straight < 0.1
+
+
+def test_a_displaced_chip_is_corrected_around_the_axis():
+    """The same bound 24 and 36 pixels beside the axis."""
+    straight, _ = _moved(_camera(-0.08, lens_corrections=True, offset=(24.0, -36.0)))
+    assert straight < 0.1
 
 
 @pytest.mark.slow
