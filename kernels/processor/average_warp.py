@@ -3,6 +3,7 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
+from gpusim.kernels.common.keys_warp import keys
 from gpusim.kernels.processor import align as align_host
 from gpusim.kernels.processor import average as average_host
 
@@ -10,18 +11,6 @@ wp.set_module_options({"enable_backward": False, "fuse_fp": False})
 
 TILE = wp.constant(align_host.TILE)
 OUTSIDE = wp.constant(average_host.OUTSIDE)
-
-
-@wp.func
-def keys(s: float):
-    """Return the weights of the samples at -1, 0, 1, 2 at 0 <= s < 1, after Keys."""
-    r = 1.0 - s
-    return wp.vec4(
-        -0.5 * s * r * r,
-        1.0 - s * s * (2.5 - 1.5 * s),
-        1.0 - r * r * (2.5 - 1.5 * r),
-        -0.5 * s * s * r,
-    )
 
 
 @wp.kernel

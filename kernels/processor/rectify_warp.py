@@ -3,19 +3,10 @@
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
 
+from gpusim.kernels.common.keys_warp import keys
 from gpusim.kernels.common.nodes_warp import between
 
 wp.set_module_options({"enable_backward": False})
-
-
-@wp.func
-def weigh(t: float):
-    return wp.vec4(
-        ((-0.5 * t + 1.0) * t - 0.5) * t,
-        (1.5 * t - 2.5) * t * t + 1.0,
-        ((-1.5 * t + 2.0) * t + 0.5) * t,
-        (0.5 * t - 0.5) * t * t,
-    )
 
 
 @wp.kernel
@@ -39,8 +30,8 @@ def rectify(
     moved_x = between(nodes, 2 * map + 1, ny, nx, down, across)
     low_y = wp.floor(moved_y)
     low_x = wp.floor(moved_x)
-    weights_y = weigh(moved_y - low_y)
-    weights_x = weigh(moved_x - low_x)
+    weights_y = keys(moved_y - low_y)
+    weights_x = keys(moved_x - low_x)
     first_y = y + int(low_y) - 1
     first_x = x + int(low_x) - 1
     for p in range(map * of_map, (map + 1) * of_map):
