@@ -1,4 +1,4 @@
-"""From camera values to the finished picture: what the steps of a `Developer` run."""
+"""From camera values to the finished picture: functions of a `Developer`'s steps."""
 
 import functools
 from typing import Any

@@ -1,4 +1,4 @@
-"""How far each frame of a burst or bracket shows what the reference shows, block by block.
+"""How far each frame of a burst or bracket agrees with the reference, block by block.
 
 Ports: raw (frames, rows, cols) uint16 [DN], displacement (frames, tiles_y, tiles_x, 2) float32
 [period] -> trust (frames, h, w) float32, 0 .. 1, of each period of the mosaic of the reference.
