@@ -6,36 +6,42 @@ radius. The wavefront W(x, y) is in waves, with the sign of Welford (Aberrations
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from itertools import pairwise
 from math import comb, factorial
 
 import numpy as np
+from scipy.special import roots_legendre
 
 from gpusim.domain.errors import FINITE, BadData, Limits, OutOfRange, check_fields
+from gpusim.domain.mask import LEAST_LIGHT, Mask
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import is_increasing
 
 # [waves] beyond it geometrical optics gives the kernel, and quadrature is wasted
 LONGEST_WAVEFRONT = 40.0
+PANEL = 8  # Gauss nodes between two bends of a pupil's outline
 
 
 @dataclass(frozen=True)
 class Pupil:
-    """A circle or a regular polygon inscribed in it, with a central circular obstruction.
+    """A circle or a regular polygon inscribed in it, with a central circular obstruction, and a mask in it.
 
     Attributes:
         blades: Corners of the polygon, 3 .. 64, or 0 for a circle.
         obscuration: Radius of the obstruction over the radius of the (circumscribed) circle, to
             which the f-number refers.
         rotation: Angle of the first corner from x towards y [rad].
+        mask: Amplitudes inside the opening; None: 1.
 
     Raises:
-        OutOfRange: A number is out of its range.
+        OutOfRange: A number is out of its range, or no light passes.
     """
 
     blades: int = 0
     obscuration: float = 0.0
     rotation: float = 0.0
+    mask: Mask | None = None
 
     def __post_init__(self):
         if not (self.blades == 0 or 3 <= self.blades <= 64):
@@ -49,17 +55,25 @@ class Pupil:
                 f"0 <= obscuration < {self.inner_radius:.4g}, the radius of the circle that fits in",
             )
         check_fields("optics.pupil", self, {"rotation": Limits("a finite angle", FINITE)})
+        if self.mask is not None and self.area < LEAST_LIGHT:
+            raise OutOfRange(
+                "optics.mask",
+                "a mask through which no light passes",
+                "open cells inside the pupil",
+            )
 
-    @property
+    @cached_property
     def area(self) -> float:
-        """Open area over the area of the circumscribed circle [1], the share of light passed."""
+        """Share of the light of the circumscribed circle that passes, its open area over the circle's [1]."""
+        if self.mask is not None:
+            return float(light_moments(self, 1)[0, 0] / np.pi)
         n = self.blades
         return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
 
     @property
     def is_clear_circle(self) -> bool:
-        """Whether it is a circle without an obstruction."""
-        return not (self.blades or self.obscuration)
+        """Whether it is a circle without an obstruction or a mask."""
+        return not (self.blades or self.obscuration or self.mask)
 
     @property
     def sides(self) -> np.ndarray:
@@ -227,7 +241,7 @@ def symmetric(pupil: Pupil, waves) -> bool:
     for k in range((order - 1) // 2 + 1):
         turned[:, : 2 * k + 1, : 2 * k + 1] += waves[:, 2 * k, 0, None, None] * disc_power(k)
     error, size = np.abs(turned - waves).max(initial=0), np.abs(waves).max(initial=0)
-    return pupil.blades == 0 and bool(error < 1e-12 * max(1, size))
+    return pupil.blades == 0 and pupil.mask is None and bool(error < 1e-12 * max(1, size))
 
 
 @lru_cache(maxsize=128)
@@ -271,3 +285,79 @@ def _turn(table, angle):
                 )
                 out[i - a + j - b, a + b] += table[i, j] * weight
     return out
+
+
+def masked_rows(pupil: Pupil, cycles: float = 0.0) -> tuple[np.ndarray, ...]:
+    """Return rows of a pupil with a mask, Gauss nodes between all bends of their ends, for integrals over the pupil.
+
+    An integral is the sum over rows of mass times the sum over pieces of amplitude times the integral along the piece.
+    An obstruction has rows of its own, of negative mass.
+
+    Args:
+        pupil: The pupil; without a mask it has one piece a row.
+        cycles: Cycles per radius of the fastest phase that is integrated.
+
+    Returns:
+        Places v (R,) and masses (R,) of the rows, ends of their pieces (R, n + 1), and the pieces' amplitudes (R, n).
+    """
+    values = np.ones((1, 1)) if pupil.mask is None else pupil.mask.values
+    edges_y, edges_x = (np.linspace(-1, 1, count + 1) for count in values.shape)
+    outlines = [
+        (_polygon_rows if pupil.blades else _circle_rows)(pupil, 1.0, edges_y, edges_x, cycles)
+    ]
+    if pupil.obscuration:
+        v, mass, reach = _circle_rows(pupil, pupil.obscuration, edges_y, edges_x, cycles)
+        outlines.append((v, -mass, reach))
+    v, mass, reach = (np.concatenate(part) for part in zip(*outlines, strict=True))
+    ends = np.clip(edges_x, reach[:, :1], reach[:, 1:])
+    row = np.clip(np.searchsorted(edges_y, v, "right") - 1, 0, len(values) - 1)
+    return v, mass, ends, values[row]
+
+
+def _circle_rows(pupil, radius, edges_y, edges_x, cycles):
+    """Rows of a circle, their masses and ends (R, 2): Gauss nodes of the angle t, v = radius sin t."""
+    square = radius**2 - edges_x[np.abs(edges_x) < radius] ** 2
+    bends = np.concatenate([edges_y[np.abs(edges_y) < radius], np.sqrt(square), -np.sqrt(square)])
+    turns = np.append(np.arcsin(np.clip(bends / radius, -1, 1)), [-np.pi / 2, 0, np.pi / 2])
+    t, mass = _nodes(turns, 2 * cycles * radius)
+    reach = radius * np.cos(t)
+    return radius * np.sin(t), mass * reach, np.stack([-reach, reach], axis=1)
+
+
+def _polygon_rows(pupil, radius, edges_y, edges_x, cycles):
+    """Rows of a polygon, their masses and ends (R, 2)."""
+    nx, ny = np.cos(pupil.sides), np.sin(pupil.sides)
+    corners = np.sin(pupil.corners)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossed = (pupil.inner_radius - np.outer(edges_x, nx)) / ny
+    bends = np.concatenate([corners, edges_y, crossed[np.isfinite(crossed)]])
+    inside = (bends >= corners.min()) & (bends <= corners.max())
+    v, mass = _nodes(bends[inside], 2 * cycles)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = (pupil.inner_radius - ny * v[:, None]) / nx
+    left = np.where(nx < -1e-12, cut, -np.inf).max(axis=1)
+    right = np.where(nx > 1e-12, cut, np.inf).min(axis=1)
+    return v, mass, np.stack([left, right], axis=1)
+
+
+def _nodes(bends, cycles):
+    """Gauss nodes and weights between bends, more of them where a phase has cycles per unit."""
+    found = []
+    for low, high in pairwise(np.unique(np.round(bends, 12))):
+        x, weight = _gauss(PANEL + 2 * int(np.ceil(1.5 * cycles * (high - low))))
+        found.append((low + (high - low) * (x + 1) / 2, weight * (high - low) / 2))
+    return (np.concatenate(part) for part in zip(*found, strict=True))
+
+
+@lru_cache(maxsize=256)
+def _gauss(count):
+    return roots_legendre(count)
+
+
+@lru_cache(maxsize=512)
+def light_moments(pupil: Pupil, count: int) -> np.ndarray:
+    """Return the integrals of x^i y^j times the light that passes over the pupil, (count, count), i first."""
+    v, mass, ends, amplitude = masked_rows(pupil)
+    light = np.abs(amplitude) ** 2
+    along = [(light * np.diff(ends ** (i + 1), axis=1)).sum(axis=1) / (i + 1) for i in range(count)]
+    return np.array(along) @ (mass[:, None] * v[:, None] ** np.arange(count))

@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
-from gpusim.domain.pupil import Pupil
+from gpusim.domain.pupil import Pupil, light_moments
 
 CELLS = 128  # along the pupil, for mean slopes of the wavefront
 
@@ -58,6 +58,8 @@ def mean_slopes(outline: Pupil, waves) -> np.ndarray:
 @lru_cache(maxsize=32)
 def _mean_powers(pupil, count):
     """Means of x^i y^j over the open pupil, shape (count, count)."""
+    if pupil.mask is not None:
+        return light_moments(pupil, count) / (np.pi * pupil.area)
     u = (np.arange(CELLS) + 0.5) / CELLS * 2 - 1
     powers, open_ = u ** np.arange(count)[:, None], coverage(pupil, CELLS)  # [y, x]
     return powers @ open_.T @ powers.T / open_.sum()

@@ -22,70 +22,29 @@ from itertools import pairwise
 
 import numpy as np
 import scipy.fft
-from numpy.polynomial.polynomial import polyint
 from scipy.special import roots_legendre
 
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.stored import stored
+from gpusim.optics.amplitude import image_amplitude
 from gpusim.optics.blas import one_core
 from gpusim.optics.farfield import edge_tail
 from gpusim.optics.memo import multiply, remember
 from gpusim.optics.otf import FAST, transfer
 from gpusim.optics.psf import fastest_turn, steepest_slope
+from gpusim.optics.quadrature import FINE, ORDER, STEP, even_places, share_of_end
 
 # [pixel] beyond the rays; with 32, moments of pixels change by 1e-4 pixel, of pixels with gaps by 1e-3
 NEAR_PIXELS = 4.0
 MARGIN = 0.5  # [pixel] and
 MORE = 12  # samples around a kernel that its pixels share
-ORDER = 12  # samples of the polynomial next to the end of a row
 ERROR = 1e-3  # of transfer functions, by light that leaves the window
 NEAR = 12.0  # [X] of the window beyond the rays
 FLAT = 0.75  # part of the window up to which differences count in full
-STEP = 0.25  # of the samples of the irradiance, in X
-FINE = 4.0  # samples of a row in a cycle of the fastest phase: sums err by 1e-6, with 3 by 2e-5
 PIECE = 1024  # frequencies at a time
 PAIRED = 1e-12  # by which rows on both sides of the middle may differ
 NODES = 4  # of the Gauss nodes of half a panel where nothing turns
 PER_CYCLE = 1.5  # of them for every cycle of the phase from one end of the panel to the other
-
-
-@lru_cache(maxsize=1)
-def _cumulative():
-    """Integral of the local Lagrange kernel of ORDER points, as polynomials of the place in each unit cell.
-
-    The kernel is that of the interpolant through the nearest ORDER samples: on the cell [m, m + 1) from a sample, the
-    Lagrange polynomial of that sample among ORDER / 2 on each side.
-    """
-    half = ORDER // 2
-    cells = np.empty((ORDER, ORDER + 1))
-    before = 0.0
-    for cell in range(-half, half):  # t = place - cell, 0 .. 1
-        # the nodes, seen from the cell's start: -half + 1 .. half; the sample itself is at -cell
-        nodes = np.arange(-half + 1, half + 1)
-        others = nodes[nodes != -cell]
-        polynomial = np.array([1.0])
-        for node in others:
-            polynomial = np.convolve(polynomial, np.array([-node, 1.0])) / (-cell - node)
-        integral = polyint(polynomial)
-        integral[0] = before
-        cells[cell + half] = integral
-        before = integral.sum()
-    return cells
-
-
-def _share(distance):
-    """Integral of the local kernel up to `distance` from its sample [steps]."""
-    half, cells = ORDER // 2, _cumulative()
-    value = (distance > 0).astype(np.float64)
-    near = np.abs(distance) < half
-    place = distance[near]
-    cell = np.floor(place).astype(int)
-    t, terms = place - cell, cells.T[:, cell + half]
-    found = terms[ORDER]
-    for k in reversed(range(ORDER)):
-        found = found * t + terms[k]
-    value[near] = found
-    return value
 
 
 def _panels(pupil, cycles):
@@ -125,7 +84,7 @@ def rows_of(pupil: Pupil, cycles: float, count: int, diagonal: float):
     An obstruction has rows of its own, of negative weights. cycles: of the fastest phase per radius, along rows and
     columns. diagonal: the same in any direction.
     """
-    step, u = _places(count)
+    step, u = even_places(count)
     v, mass = _panels(pupil, cycles) if pupil.sides.size else _circle(1.0, diagonal)
     left, right = _chord(pupil, v)
     weights = _between(left, right, u, step) * (mass * step)[:, None]
@@ -149,14 +108,8 @@ def _chord(pupil, v):
     return left, np.where(nx > 1e-12, cut, np.inf).min(axis=1)
 
 
-def _places(count):
-    """Step and places of the even samples of a row; some lie beyond the pupil."""
-    step = 2.0 / (count - ORDER)
-    return step, (np.arange(count) - (count - 1) / 2) * step
-
-
 def _between(left, right, u, step):
-    return _share((right[:, None] - u) / step) - _share((left[:, None] - u) / step)
+    return share_of_end((right[:, None] - u) / step) - share_of_end((left[:, None] - u) / step)
 
 
 def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
@@ -164,6 +117,8 @@ def irradiance(pupil: Pupil, wave, half: int) -> np.ndarray:
 
     float32, rows first. wave: coefficients [i, j] of x^i y^j of the wavefront [waves].
     """
+    if pupil.mask is not None:
+        return np.square(np.abs(image_amplitude(pupil, wave, half)))
     wave = np.asarray(wave, np.float64)
     return _irradiance(pupil, half, wave.shape, np.round(wave, 12).tobytes())
 
@@ -237,7 +192,7 @@ def _grid(pupil, half, cycles, upper):
         if len(above) == len(below) and np.abs(v[above] + v[below]).max() < PAIRED:
             order, some = np.concatenate([above, below]), v[above]
             v, weights = v[order], weights[order]
-    _, u = _places(count)
+    _, u = even_places(count)
     x = 2 * np.pi * STEP * np.arange(half + 1)
     along, across = np.outer(u[count // 2 :], x), np.outer(x, some)
     waves = (

@@ -1,0 +1,69 @@
+"""The complex amplitude of light around a point's image, of any pupil, also with a mask.
+
+Lengths in the image are X = x / (2 lambda N), cycles of the pupil's phase per radius, as in `gpusim.optics.sampled`:
+
+    A(X, Y) = integral over the pupil of  m(u, v) exp(2 pi i (W(u, v) + X u + Y v)) du dv
+
+is a sum over rows, at Gauss nodes v between all bends of the mask's pieces, and over even samples u. Samples next to the
+ends of a piece have the weights that integrate the polynomial through the nearest of them up to the true end.
+"""
+
+import numpy as np
+
+from gpusim.domain.pupil import Pupil, masked_rows
+from gpusim.optics.blas import one_core
+from gpusim.optics.memo import remember
+from gpusim.optics.psf import fastest_turn
+from gpusim.optics.quadrature import FINE, ORDER, STEP, even_places, share_of_end
+
+
+def image_amplitude(pupil: Pupil, wave: np.ndarray, half: int) -> np.ndarray:
+    """Return the amplitude of (2 half + 1)^2 samples around a point's image, STEP = 1/4 apart in X.
+
+    The sum of the squares of sizes over the whole image is 1. The irradiance has no frequencies beyond the cut-off:
+    these samples, lambda N / 2 apart, determine it.
+
+    Args:
+        pupil: The pupil.
+        wave: Coefficients [i, j] of x^i y^j of the wavefront [waves].
+        half: Samples on each side of the middle.
+
+    Returns:
+        complex64 (2 half + 1, 2 half + 1), rows (Y) first.
+    """
+    wave = np.asarray(wave, np.float64)
+    return _image_amplitude(pupil, int(half), wave.shape, np.round(wave, 12).tobytes())
+
+
+@remember(2**27)
+def _image_amplitude(pupil, half, shape, values):
+    wave = np.frombuffer(values).reshape(shape)
+    cycles = max(half * STEP + fastest_turn(wave), 4.0)
+    # along diagonals phases are faster, by (sqrt(2) - 1) of the samples' part
+    v, mass, ends, amplitude = masked_rows(pupil, cycles + (np.sqrt(2) - 1) * half * STEP)
+    step, u = even_places(2 * int(np.ceil(FINE * cycles)) + ORDER)
+    weights = _weigh(ends, amplitude, u, step) * (mass * step)[:, None]
+    powers, at = np.arange(len(wave)), 2 * np.pi * STEP * np.arange(-half, half + 1)
+    with one_core():
+        path = v[:, None] ** powers @ (wave.T @ u ** powers[:, None])
+        path -= np.rint(path)
+        field = (weights * np.exp(2j * np.pi * path)).astype(np.complex64)
+        down = np.exp(1j * np.outer(at, v)).astype(np.complex64)
+        across = np.exp(1j * np.outer(u, at)).astype(np.complex64)
+        found = down @ (field @ across)
+    return found * np.float32(STEP / np.sqrt(np.pi * pupil.area))
+
+
+def _weigh(ends, amplitude, u, step):
+    """Return the weights of even samples of rows (R, samples) whose pieces have these ends (R, n + 1), (R, n)."""
+    jumps = np.diff(amplitude, axis=1, prepend=0, append=0)  # of the amplitude at each end
+    place = (ends - u[0]) / step
+    cell = np.floor(place).astype(int)
+    own = np.arange(len(ends))[:, None]
+    # samples far before an end have all of the integral up to it, those far behind none
+    steps = np.zeros((len(ends), len(u) + 1), amplitude.dtype)
+    np.add.at(steps, (own, cell - ORDER // 2 + 1), -jumps)  # the first may be before all samples
+    weights = np.cumsum(steps[:, ::-1], axis=1)[:, -2::-1].copy()
+    for offset in range(1 - ORDER // 2, ORDER // 2 + 1):
+        np.add.at(weights, (own, cell + offset), -jumps * share_of_end(place - cell - offset))
+    return weights
