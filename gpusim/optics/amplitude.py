@@ -4,8 +4,8 @@ Lengths in the image are X = x / (2 lambda N), cycles of the pupil's phase per r
 
     A(X, Y) = integral over the pupil of  m(u, v) exp(2 pi i (W(u, v) + X u + Y v)) du dv
 
-is a sum over rows, at Gauss nodes v between all bends of the mask's pieces, and over even samples u. Samples next to the
-ends of a piece have the weights that integrate the polynomial through the nearest of them up to the true end.
+is a sum over rows, at Gauss nodes v between all bends of the mask's pieces, and over even samples u. Samples next to
+the ends of a piece have the weights that integrate the polynomial through the nearest of them up to the true end.
 """
 
 import numpy as np
