@@ -28,6 +28,7 @@ _NAMES = {
     "captures.merge": ("merge_bracket", "merge_burst", "merge_flash", "merge_reads"),
     "captures.moving": ("expose_moving", "expose_motion"),
     "captures.parallax": ("move_camera",),
+    "captures.pinholes": ("light_field",),
     "captures.reads": ("Reads", "read_nondestructively"),
     "data.charts": ("chart",),
     "data.displays": ("open_display", "display_names", "display_picture"),
@@ -43,6 +44,7 @@ _NAMES = {
     "domain.exposure": ("AutoExposure", "exposure_value"),
     "domain.flicker": ("Flicker",),
     "domain.illuminated": ("Illuminated",),
+    "domain.light_field": ("LightField",),
     "domain.motion": ("Motion",),
     "domain.noise": ("Noise",),
     "domain.optics": ("Optics",),
@@ -60,6 +62,7 @@ _NAMES = {
     "io.camera.zemax": ("read_zemax_psf",),
     "io.frame.events": ("write_events",),
     "io.scene.arrays": ("scene_from",),
+    "io.scene.light_fields": ("open_light_field", "save_light_field"),
     "io.scene.scenes": ("open_scene", "save_scene", "picture"),
     "measure": ("photon_transfer",),
     "optics.labels": ("carry_labels",),
@@ -90,6 +93,7 @@ if TYPE_CHECKING:
     from gpusim.captures.moving import expose_motion as expose_motion
     from gpusim.captures.moving import expose_moving as expose_moving
     from gpusim.captures.parallax import move_camera as move_camera
+    from gpusim.captures.pinholes import light_field as light_field
     from gpusim.captures.reads import Reads as Reads
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
     from gpusim.io.camera.calibration import read_calibration as read_calibration
@@ -116,6 +120,7 @@ if TYPE_CHECKING:
     from gpusim.domain.exposure import exposure_value as exposure_value
     from gpusim.domain.flicker import Flicker as Flicker
     from gpusim.domain.illuminated import Illuminated as Illuminated
+    from gpusim.domain.light_field import LightField as LightField
     from gpusim.domain.motion import Motion as Motion
     from gpusim.domain.noise import Noise as Noise
     from gpusim.domain.optics import Optics as Optics
@@ -132,6 +137,8 @@ if TYPE_CHECKING:
     from gpusim.pipeline.frame import Frame as Frame
     from gpusim.io.scene.arrays import scene_from as scene_from
     from gpusim.io.frame.events import write_events as write_events
+    from gpusim.io.scene.light_fields import open_light_field as open_light_field
+    from gpusim.io.scene.light_fields import save_light_field as save_light_field
     from gpusim.io.scene.scenes import open_scene as open_scene, picture as picture
     from gpusim.io.scene.scenes import save_scene as save_scene
     from gpusim.measure import photon_transfer as photon_transfer

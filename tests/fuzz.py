@@ -41,6 +41,7 @@ from gpusim.io.camera.psf import read_psf
 from gpusim.io.camera.zemax import read_zemax_psf
 from gpusim.io.exr import write_rgb_exr, write_spectral_exr
 from gpusim.io.frame.icc import icc_profile
+from gpusim.io.scene.light_fields import open_light_field
 from gpusim.io.scene.scenes import open_scene
 
 SEEDS = (1, 2, 3)  # of the kept runs
@@ -50,6 +51,7 @@ READERS = (
     "psf",
     "table",
     "scene",
+    "light_field",
     "exr",
     "png",
     "jpg",
@@ -96,6 +98,7 @@ READ = {
     "camera": open_camera,
     "psf": read_psf,
     "table": read_table,
+    "light_field": open_light_field,
     "calibration": read_calibration,
     "profile": read_noise_profile,
     "planes": lambda path: open_scene(path, wavelengths=WAVES),
@@ -178,6 +181,14 @@ def good_archives(reader):
             )
             found = dict(np.load(path))
         return [found, {key: value for key, value in found.items() if key != "offsets"}]
+    if reader == "light_field":
+        shared = {"views": [1, 2], "radius_m": 1e-3, "object_distance_m": 0.5}
+        shared |= {"wavelengths_nm": WAVES, "light_field_name": "a"}
+        views = {f"view_00_0{i}.cube": values for i in range(2)}
+        depth = {f"view_00_0{i}.depth_m": 1 + values[0] for i in range(2)}
+        layer = {"cube": values, "alpha": values[0], "depth_m": 0.5}
+        layer = {f"view_00_01.layer_0.{key}": value for key, value in layer.items()}
+        return [shared | views, shared | views | depth | layer]
     return [
         {
             "wavelengths_nm": WAVES,

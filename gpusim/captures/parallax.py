@@ -20,8 +20,8 @@ LEAST = 0.01  # of a picture's mean brightness: errors in darker places are rela
 BORDERS = {"zero": "grid-constant", "edge": "nearest", "reflect": "reflect", "scene": "nearest"}
 
 
-class _Sheet(NamedTuple):
-    """A surface. known: share of its light that is from the scene, 0 .. 1; the rest is guessed."""
+class Surface(NamedTuple):
+    """A surface. known: share of its light that is from the scene, 0 .. 1; the rest is continued."""
 
     content: Content
     alpha: np.ndarray
@@ -118,20 +118,11 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
         nothing = np.zeros(scene.content.shape, np.float32)
         return Moved(scene, nothing, 0.0, nothing)
     mode = BORDERS[scene.border]
-    sheets = [
-        _Sheet(
-            _mixing(layer.content),
-            np.asarray(layer.alpha, np.float32),
-            np.broadcast_to(np.asarray(layer.depth, np.float64), scene.content.shape),
-            np.ones(scene.content.shape, np.float32),
-        )
-        for layer in scene.layers
-    ]
-    sheets += _cut(scene, focal, move)
+    sheets = list_surfaces(scene, focal, move)
     layers, parts, worst, through = [], [], 0.0, np.ones(scene.content.shape)
     guessed = np.zeros(scene.content.shape)
     for sheet in sheets:
-        places, depth, error = _places(sheet.depth, focal, move)
+        places, depth, error = find_places(sheet.depth, focal, move)
         lost = error > LOST
         worst = max(worst, float(error[~lost].max(initial=0)))
         alpha = np.clip(
@@ -156,7 +147,7 @@ def see_from(scene: Scene, camera: Camera, place: tuple[float, float, float]) ->
         scene,
         content=back.content,
         depth=np.asarray(back.depth),
-        layers=tuple(layer for layer in _in_order(front, back.depth) if layer.alpha.any()),
+        layers=tuple(layer for layer in order_layers(front, back.depth) if layer.alpha.any()),
     )
     return Moved(moved, guessed.astype(np.float32), worst, _compose_errors(parts))
 
@@ -225,9 +216,32 @@ def _bound(error, mean, sigma):
     return Bound(rms, float(np.quantile(sigmas, 0.999)), float(sigmas.max()))
 
 
-def _cut(scene, focal, move) -> list[_Sheet]:
+def list_surfaces(scene: Scene, focal: float, move: np.ndarray) -> list[Surface]:
+    """Return the layers of a scene and the surfaces of its own content, nearest first.
+
+    Args:
+        scene: The scene, with depth.
+        focal: Distance of the picture's plane from the pupil [sample].
+        move: Largest movement down, right and ahead [m]: it says which jumps of the distance show.
+
+    Returns:
+        The surfaces; the last one covers everything.
+    """
+    layers = [
+        Surface(
+            mix_entries(layer.content),
+            np.asarray(layer.alpha, np.float32),
+            np.broadcast_to(np.asarray(layer.depth, np.float64), scene.content.shape),
+            np.ones(scene.content.shape, np.float32),
+        )
+        for layer in scene.layers
+    ]
+    return layers + cut_surfaces(scene, focal, move)
+
+
+def cut_surfaces(scene, focal, move) -> list[Surface]:
     """Return the surfaces of a scene's own content, nearest first; the last one covers everything."""
-    content, depth = _mixing(scene.content), np.asarray(scene.depth, np.float64)
+    content, depth = mix_entries(scene.content), np.asarray(scene.depth, np.float64)
     reach = np.hypot(*(np.array(depth.shape) / 2))
     slope = focal * np.hypot(move[0], move[1]) + abs(move[2]) * reach  # [sample m]
     limits = _limits(depth, slope)
@@ -241,10 +255,10 @@ def _cut(scene, focal, move) -> list[_Sheet]:
             )
         alpha = (depth <= limit).astype(np.float32)
         if index is None:
-            sheets.append(_Sheet(content, alpha, depth, np.ones(depth.shape, np.float32)))
+            sheets.append(Surface(content, alpha, depth, np.ones(depth.shape, np.float32)))
         else:
             filled = content.with_planes(content.planes[:, index[0], index[1]])
-            sheets.append(_Sheet(filled, alpha, depth[index[0], index[1]], own.astype(np.float32)))
+            sheets.append(Surface(filled, alpha, depth[index[0], index[1]], own.astype(np.float32)))
         nearer = limit
     return sheets
 
@@ -275,10 +289,11 @@ def _limits(depth, slope) -> list[float]:
     return sorted(found)
 
 
-def _places(depth, focal, move):
+def find_places(depth, focal, move, vergence=0.0):
     """Return where samples of the moved picture are in the scene, their new distance, and the error of the search.
 
-    places: rows and columns (2, rows, cols) [index].
+    places: rows and columns (2, rows, cols) [index]. vergence: reciprocal of the distance of things that
+    stay at their places while the camera moves across the view [1/m].
     """
     shape = depth.shape
     middle = (np.array(shape) - 1) / 2
@@ -286,7 +301,7 @@ def _places(depth, focal, move):
     distance, places, error = depth, grid, np.zeros(shape)
     is_flat = np.ptp(depth) == 0
     for _ in range(1 if is_flat else STEPS):
-        shift = focal * move[:2, None, None] / distance
+        shift = focal * move[:2, None, None] * (1 / distance - vergence)
         found = grid * (1 - move[2] / distance) + shift
         error = np.abs(found - places).max(axis=0)
         places = found
@@ -304,7 +319,7 @@ def _at(values, places, order, mode):
     )
 
 
-def _in_order(layers, behind):
+def order_layers(layers, behind):
     """Return layers whose distances do not overlap, as a scene wants them."""
     farthest, found = float(np.min(behind)), []
     for layer in reversed(layers):
@@ -321,7 +336,7 @@ def _in_order(layers, behind):
     return found
 
 
-def _mixing(content: Content) -> Content:
+def mix_entries(content: Content) -> Content:
     """Return content on the host that interpolates: a Basis or a Cube."""
     content = content.on_host()
     if isinstance(content, Basis | Cube):

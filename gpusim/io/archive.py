@@ -158,6 +158,48 @@ class Archive(Mapping):
         require_memory(f"{self.path}: {len(self)} arrays", math.ceil(needed))
 
 
+class ArchivePart(Mapping):
+    """The arrays whose names begin with a prefix, by the rest; for other names those of the whole.
+
+    whole: an open archive or a part of one. prefix: begins the names.
+    """
+
+    def __init__(self, whole: "Archive | ArchivePart", prefix: str):
+        self.whole, self.prefix = whole, prefix
+
+    def _full(self, name):
+        own = self.prefix + name
+        return own if own in self.whole else name
+
+    def has_own(self, name: str) -> bool:
+        """Return True if an array has this name after the prefix."""
+        return self.prefix + name in self.whole
+
+    def __contains__(self, name):
+        return self._full(name) in self.whole
+
+    def __iter__(self) -> Iterator[str]:
+        own = [name.removeprefix(self.prefix) for name in self.whole if self._is_own(name)]
+        return iter(dict.fromkeys([*own, *(name for name in self.whole if "." not in name)]))
+
+    def _is_own(self, name):
+        return name.startswith(self.prefix)
+
+    def __len__(self):
+        return len(list(iter(self)))
+
+    def __getitem__(self, name) -> np.ndarray:
+        return self.whole[self._full(name)]
+
+    def shape(self, name, kinds=NUMBERS, *, wanted=None) -> tuple[int, ...]:
+        """Return the shape of an array, see `Archive.shape`."""
+        return self.whole.shape(self._full(name), kinds, wanted=wanted)
+
+    def notes(self) -> tuple[str, ...]:
+        """Return no notes: the whole archive has them."""
+        return ()
+
+
 def array_header(head: io.BytesIO) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Return shape, Fortran order and type of an array (.npy); leave `head` at its numbers.
 

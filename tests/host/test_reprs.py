@@ -44,6 +44,7 @@ def objects():
         CUBE,
         deep,
         deep.layers[0],
+        gs.LightField(((deep, deep),), 1e-3),
         picture,
         lit,
         *(one.content for one in (CHECKER, CUBE, picture, lit)),

@@ -30,11 +30,12 @@ from gpusim.domain.errors import BadFile, format_value
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.scene import IMAGE, PLANE, Scene, unit_light
 from gpusim.domain.spectrum import Spectrum
-from gpusim.io.archive import NUMBERS, TEXT, open_archive, write_archive
+from gpusim.io.archive import NUMBERS, TEXT, Archive, ArchivePart, open_archive, write_archive
 from gpusim.io.files import name_in_errors
 
 COPIES = 1.0  # of the numbers: as float32, and divided by the light
 LABEL = "label_"  # begins the keys of labels
+LIGHT_FIELD = "radius_m"  # key that only light fields have
 LABEL_NUMBERS = "buif"  # NumPy's letters for kinds of types
 # keys that determine the form of an archive
 FORMS = ("cube", "coefficients", "ids", "photons", "coef")
@@ -43,6 +44,11 @@ FORMS = ("cube", "coefficients", "ids", "photons", "coef")
 def write_npz(path, scene: Scene):
     """Write a complete scene for `read_npz`. Raises BadFile."""
     check_whole(path, scene)
+    write_archive(path, scene_arrays(scene))
+
+
+def scene_arrays(scene: Scene) -> dict:
+    """Return the arrays of a scene by their keys, without layers and view."""
     content = scene.content.on_host()
     arrays: dict = {"wavelengths_nm": content.wavelengths}
     arrays |= {
@@ -63,8 +69,7 @@ def write_npz(path, scene: Scene):
         arrays["projection"] = scene.projection
     if scene.depth is not None:
         arrays["depth_m"] = scene.depth
-    arrays |= {f"{LABEL}{name}": label for name, label in scene.labels.items()}
-    write_archive(path, arrays)
+    return arrays | {f"{LABEL}{name}": label for name, label in scene.labels.items()}
 
 
 def check_whole(path, scene: Scene):
@@ -87,13 +92,13 @@ def read_npz(path, white: Spectrum) -> Scene:
     """
     with open_archive(path) as stored, name_in_errors(path):
         stored.require_memory(COPIES)
-        return _Archive(Path(path), stored).scene(white)
+        return SceneArchive(Path(path), stored).scene(white)
 
 
-class _Archive:
-    """An open archive; its arrays are checked when they are read."""
+class SceneArchive:
+    """An open archive, or a part of one; its arrays are checked when they are read."""
 
-    def __init__(self, path, stored):
+    def __init__(self, path, stored: Archive | ArchivePart):
         self.path, self.stored = path, stored
 
     def refuse(self, why: str) -> NoReturn:
@@ -133,6 +138,8 @@ class _Archive:
 
     def scene(self, white):
         """Return the scene in the archive."""
+        if LIGHT_FIELD in self.stored and isinstance(self.stored, Archive):
+            self.refuse("a light field: open it with gs.open_light_field")
         forms = [key for key in FORMS if key in self.stored]
         if len(forms) != 1:
             why = f"needs exactly one of the keys {', '.join(FORMS)}; it has {sorted(self.stored)}"
