@@ -1,0 +1,340 @@
+"""Pictures through the cells of a pupil, as lenslets or an array of cameras divide them."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import prod
+from typing import Any
+
+import numpy as np
+
+from gpusim.backends.tape import Tape, recording
+from gpusim.domain.account import UNKNOWN, Account
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
+from gpusim.domain.light_field import LightField
+from gpusim.domain.mask import LEAST_LIGHT, Mask, pupil_cells
+from gpusim.domain.scene import Scene, View, checked_scene
+from gpusim.domain.short_repr import shorten_repr
+from gpusim.optics.cells import relative_difference
+from gpusim.pipeline.cache import Cache
+from gpusim.pipeline.simulator import Simulator
+from gpusim.planner.plan import Plan
+
+NODES, DISTANCES = (
+    7,
+    7,
+)  # wavelengths, and distances of a scene, for which a difference is predicted
+SAME_RADIUS = 0.01  # part by which a light field's radius may differ from the entrance pupil's
+
+
+@dataclass(frozen=True, eq=False)
+class Views:
+    """Light of a scene through each cell of a lens's pupil, at the sensor.
+
+    `np.asarray` returns the rates.
+
+    Attributes:
+        rates: Electrons per second of every pixel in each channel, as if it had all filters, a device array
+            (T, S, C, rows, cols) [e-/s]. Each cell diffracts.
+        shares: Light of each cell over the light of the whole lens (T, S) [1].
+        plans: Plans of the cells by (row, column).
+        simulator: The simulator of the whole lens.
+        scene: The scene, or the light field.
+    """
+
+    rates: Any
+    shares: np.ndarray
+    plans: dict[tuple[int, int], Plan]
+    simulator: Simulator
+    scene: Scene | LightField
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.simulator.device.numpy(self.rates), dtype, copy=copy)
+
+    def __repr__(self):
+        return shorten_repr(
+            f"Views({self.scene.name} by {self.simulator.camera.name}, rates {tuple(self.rates.shape)} on "
+            f"{self.simulator.device.name})"
+        )
+
+    @property
+    def total(self) -> np.ndarray:
+        """Sum over the cells, (C, rows, cols) [e-/s]: the picture of a lens whose cells do not interfere."""
+        return np.asarray(self).sum(axis=(0, 1), dtype=np.float64)
+
+    @property
+    def account(self) -> Account:
+        """Errors of the rates: of each cause the largest of all cells, relative to the cell's own picture."""
+        found: dict = {}
+        for made in self.plans.values():
+            for name, bound in made.account.bounds.items():
+                found[name] = bound.largest(found.get(name, bound))
+        seconds = next(iter(self.plans.values())).account.seconds
+        if isinstance(self.scene, LightField):
+            found["blur by depth within the cells of a light field"] = UNKNOWN
+        return Account(found, seconds)
+
+    @cached_property
+    def difference(self) -> float:
+        """Predicted RMS difference of `total` from the whole lens's picture, by diffraction at the cells, over its RMS.
+
+        On the axis, by the scene's own frequencies and distances.
+        """
+        return predict_difference(
+            next(iter(self.plans.values())), self.simulator.camera, self.shares.shape
+        )
+
+
+class ViewCapture:
+    """Takes `Views` of a scene frame after frame. Plans and tables of the cells are made once.
+
+    Args:
+        simulator: The simulator.
+        scene: A scene, or a light field with as many views as there are cells.
+        views: Rows and columns of cells (T, S); None: the light field's, or 9 x 9.
+
+    Raises:
+        BadData: The lens has no pupil that can be cut, or the light field is of another lens.
+        DoesNotFit: The views need more memory than the device has.
+        OutOfRange: There are fewer than one or more than 256 cells along an axis.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        scene: Scene | LightField,
+        views: tuple[int, int] | None = None,
+    ):
+        self.simulator, self.scene = simulator, checked_source(scene)
+        self.shape = _choose_shape(scene, views)
+        camera, device = simulator.camera, simulator.device
+        self.shares, cells = divide_pupil(camera, self.shape)
+        if isinstance(scene, LightField):
+            check_radius(camera, scene)
+        self._tables = Cache()
+        self._cells = {
+            at: simulator.apart(
+                camera.with_(optics=replace(camera.optics, pupil=pupil)), self._tables
+            )
+            for at, pupil in cells.items()
+        }
+        some = simulator.plan(self._scene_of(next(iter(cells))))
+        channels, size = len(some.weights), prod(some.scene.shape)
+        needed = 2 * 4 * prod(self.shape) * channels * size  # each view, and their stack
+        if needed > device.memory:
+            raise DoesNotFit(
+                f"{self.shape[0]} x {self.shape[1]} views", needed, device.memory, device.name
+            )
+        self.plans = {at: own.plan(self._scene_of(at)) for at, own in self._cells.items()}
+        self._tape, self._taken_of, self._rates = Tape(), None, None
+
+    def _scene_of(self, at: tuple[int, int]) -> Scene:
+        """Return the scene that a cell sees."""
+        if not isinstance(self.scene, LightField):
+            return self.scene
+        return align_view(self.scene, at, self.simulator.camera)
+
+    def __call__(self, scene: Scene | LightField | None = None) -> Views:
+        """Return the views of the scene, or of another one of the same kind, on whose plans they are made.
+
+        Args:
+            scene: Another scene; None: the one of the last call.
+
+        Returns:
+            The views. The next call rewrites their rates.
+
+        Raises:
+            BadData: The plans do not serve that scene.
+        """
+        if scene is not None and scene is not self.scene:
+            self._change(checked_source(scene))
+        device = self.simulator.device
+        if self._taken_of is self.scene and self._tape.is_replayable and self._tape.commands:
+            self._tape.replay()
+        else:
+            with recording(self._tape):
+                self._rates = device.stack(list(self._rates_of_cells()))
+            self._taken_of = self.scene
+        rates = device.reshape(self._rates, (*self.shape, *self._rates.shape[1:]))
+        return Views(rates, self.shares, self.plans, self.simulator, self.scene)
+
+    def _change(self, scene):
+        """Use another scene. Raises BadData if the plans do not serve it."""
+        before, self.scene = self.scene, scene
+        try:
+            for at, made in self.plans.items():
+                if why := made.misfit(self._scene_of(at)):
+                    raise BadData(f"views of {scene.name}: {why}; make another ViewCapture for it")
+            self.plans = {
+                at: replace(made, scene=self._scene_of(at)) for at, made in self.plans.items()
+            }
+        except BadData:
+            self.scene = before
+            raise
+
+    def _rates_of_cells(self) -> Iterator[Any]:
+        """Yield electrons per second (C, rows, cols) of each cell, zeros of those without light."""
+        device, empty = self.simulator.device, None
+        made = next(iter(self.plans.values()))
+        shape = len(made.weights), *made.scene.shape
+        for at in np.ndindex(self.shape):
+            if at in self.plans:
+                own = self._cells[at].imaging
+                values = own.values(self.plans[at])
+                values.set_numbers(exposure_time=1.0)
+                yield values["electrons"]
+            else:
+                empty = device.array(np.zeros(shape, np.float32)) if empty is None else empty
+                yield empty
+
+
+def expose_views(
+    simulator: Simulator, scene: Scene | LightField, views: tuple[int, int] | None = None
+) -> Views:
+    """Return the light of a scene through each cell of the lens's pupil.
+
+    A cell is a lens of its own: with the whole field, depth and wavefront, and with the diffraction of the cell. The
+    light of a point over all cells is the whole lens's, but cells spread it more, see `Views.difference`. A light
+    field's views have no more depth: blur within a cell is left out, and the plans say that it cannot be judged.
+
+    Args:
+        simulator: The simulator.
+        scene: A scene, or a light field with as many views as there are cells.
+        views: Rows and columns of cells (T, S); None: the light field's, or 9 x 9.
+
+    Returns:
+        The views.
+
+    Raises:
+        BadData: The lens has no pupil that can be cut, or the light field is of another lens.
+        DoesNotFit: The views need more memory than the device has.
+        OutOfRange: There are fewer than one or more than 256 cells along an axis.
+    """
+    return ViewCapture(simulator, scene, views)()
+
+
+def predict_difference(plan: Plan, camera: Camera, shape: tuple[int, int]) -> float:
+    """Return the predicted RMS difference between the added pictures of cells and the whole lens's picture.
+
+    Args:
+        plan: Plan of the scene, for its light in each channel.
+        camera: The camera with the whole lens.
+        shape: Rows and columns of cells (T, S).
+    """
+    scene, optics = plan.scene, camera.optics
+    content, wavelengths = scene.content.on_host(), scene.wavelengths
+    some = np.unique(np.linspace(0, len(wavelengths) - 1, NODES).round().astype(int))
+    weights = plan.weights * content.mean_spectrum()
+    nearest = np.abs(wavelengths[:, None] - wavelengths[some]).argmin(axis=1)
+    spectra = np.stack([weights[:, nearest == n].sum(axis=1) for n in range(len(some))], axis=1)
+    ratio, margin = scene.samples_per_pixel, scene.margin
+    inner = slice(margin, -margin or None)
+    distances: list[tuple[float | None, float]] = [(None, 1.0)]
+    if scene.depth is not None:
+        diopters = 1 / np.asarray(scene.depth, np.float64)[inner, inner].ravel()
+        middles = np.quantile(diopters, (np.arange(DISTANCES) + 0.5) / DISTANCES)
+        distances = [(1 / one, 1 / DISTANCES) for one in middles.tolist()]
+    return relative_difference(
+        optics,
+        shape,
+        content.weigh(plan.weights, (inner, inner)),
+        spectra / spectra.sum(axis=1, keepdims=True),
+        wavelengths[some],
+        camera.sensor.pixel_pitch / ratio,
+        tuple((np.array(camera.sensor.aperture) / camera.sensor.pixel_pitch * ratio).tolist()),
+        distances,
+    )
+
+
+def checked_source(scene: Any) -> Scene | LightField:
+    """Return a scene or a light field. Raises BadData for anything else."""
+    return scene if isinstance(scene, LightField) else checked_scene(scene)
+
+
+def _choose_shape(scene, views):
+    if not isinstance(scene, LightField):
+        return tuple(views or (9, 9))
+    if views is not None and tuple(views) != scene.shape:
+        raise BadData(
+            f"views {views[0]} x {views[1]}: {scene.name} has {scene.shape[0]} x {scene.shape[1]}; leave them out"
+        )
+    return scene.shape
+
+
+def divide_pupil(camera: Camera, shape: tuple[int, int]) -> tuple[np.ndarray, dict]:
+    """Return the light of the cells of a camera's pupil, over all of it, and their pupils.
+
+    Args:
+        camera: The camera.
+        shape: Rows and columns of cells (T, S).
+
+    Returns:
+        Shares (T, S) that add up to 1, and the pupils of the cells through which light passes, by (row, column).
+
+    Raises:
+        BadData: The lens is no pupil with a wavefront.
+        OutOfRange: There are fewer than one or more than 256 cells along an axis.
+    """
+    optics = camera.optics
+    if optics.model != "diffraction":
+        why = (
+            "measured point spreads hold no wave"
+            if optics.psf
+            else "a lens without blur has no pupil"
+        )
+        raise BadData(
+            f'optics.model "{optics.model}": {why}, so it cannot be divided into cells; use model "diffraction"'
+        )
+    own, found, shares = optics.pupil, {}, np.zeros(shape)
+    for j, row in enumerate(pupil_cells(shape)):
+        for i, cell in enumerate(row):
+            try:
+                found[j, i] = replace(own, mask=combine_masks(own.mask, cell))
+            except OutOfRange:
+                continue  # no light passes
+            shares[j, i] = found[j, i].area / own.area
+            if shares[j, i] < LEAST_LIGHT:
+                del found[j, i]
+    return shares / shares.sum(), found
+
+
+def combine_masks(first: Mask | None, second: Mask) -> Mask:
+    """Return two masks, one behind the other. Raises BadData if their cells have no common grid that is fine enough."""
+    if first is None:
+        return second
+    shape = np.lcm(first.values.shape, second.values.shape)
+    fine = [
+        np.kron(one.values, np.ones(shape // np.array(one.values.shape))) for one in (first, second)
+    ]
+    return Mask(fine[0] * fine[1])
+
+
+def check_radius(camera: Camera, light_field: LightField) -> None:
+    """Raise OutOfRange if a light field's radius is not the one of a camera's entrance pupil."""
+    optics = camera.optics
+    wanted = optics.focal_length / (2 * optics.f_number)
+    if abs(light_field.radius / wanted - 1) > SAME_RADIUS:
+        raise OutOfRange(
+            f"radius of {light_field.name}",
+            f"{light_field.radius:.6g} m",
+            f"the entrance pupil's, {wanted:.6g} m; f-number "
+            f"{optics.focal_length / (2 * light_field.radius):.4g} has this radius",
+        )
+
+
+def align_view(light_field: LightField, at: tuple[int, int], camera: Camera) -> Scene:
+    """Return one view as the camera sees it, without depth, moved by the defocus of the light field's plane.
+
+    A thing out of focus by the displacement d of the sensor is seen -d / (2 N (1 + |m|)) (x, y) from its place, (x, y)
+    the middle of the cell in radii of the pupil.
+    """
+    scene, optics = light_field.view(*at), camera.optics
+    scene = replace(scene, depth=None, layers=())
+    if light_field.object_distance == optics.object_distance:
+        return scene
+    moved = optics.displacement(optics.diopters(light_field.object_distance))
+    across = -moved / (2 * optics.working_f_number) / camera.sensor.pixel_pitch
+    middle = (2 * np.array(at) + 1) / light_field.shape - 1
+    shift = -across * middle  # the view looks at the place that is shown in the middle
+    return replace(scene, view=scene.view.compose(View(tuple(shift.tolist()))))
