@@ -1,37 +1,10 @@
-// multiscale.py has the formulas. Each level is a plane per axis with a margin: 3 rows above and below, LEFT columns before,
-// some after; row and column 0 of the picture are (3, LEFT) there. A work-item of `shrink` goes down BAND rows. On CPUs
-// (LINES) it has CHUNK columns and makes the sum of all blocks; elsewhere it has two neighbouring columns in which blocks
-// begin, and `gather` adds what they say about each pixel.
+// For CPUs; multiscale.py has the formulas, multiscale_groups.cl is for GPUs. Each level is a plane per axis with a margin:
+// 3 rows above and below, LEFT columns before, some after; row and column 0 of the picture are (3, LEFT) there.
+// A work-item of `shrink` goes down BAND rows of CHUNK columns.
+#include "multiscale.clh"
+
 #define LEFT 8
 #define TOP 3
-#define CEILING 1.5f  // of the share that is removed, before it is limited to 1: see `noise_part`
-
-// Pixel of 0 .. size - 1 in place of one outside, mirrored with the end repeated.
-inline int mirror_index(const int i, const int size)
-{
-    return clamp(i < 0 ? -1 - i : i >= size ? 2 * size - 1 - i : i, 0, size - 1);
-}
-
-// Place of pixel i among nodes that are even from edge to edge, as in shade.cl: the node before it, and the fraction.
-inline int node_before(const int i, const int nodes, const int size, float *fraction)
-{
-    const int place = (2 * i + 1) * (nodes - 1), before = place / (2 * size);
-    *fraction = (float)(place - before * 2 * size) / (float)(2 * size);
-    return before;
-}
-
-// Gain of the shading correction that was applied to a pixel.
-inline float gain_at(__global const float *restrict gains, const int y, const int x, const int rows, const int cols,
-                     const int ny, const int nx)
-{
-#if SHADED
-    float v, u;
-    __global const float *near = gains + node_before(y, ny, rows, &v) * nx + node_before(x, nx, cols, &u);
-    return (1.0f - v) * ((1.0f - u) * near[0] + u * near[1]) + v * ((1.0f - u) * near[nx] + u * near[nx + 1]);
-#else
-    return 1.0f;
-#endif
-}
 
 __kernel void split(
     // in:
@@ -53,10 +26,7 @@ __kernel void split(
     const float gain = gain_at(gains, v, u, rows, cols, ny, nx);
     float root[CHANNELS];
 #pragma unroll
-    for (int c = 0; c < CHANNELS; ++c) {
-        const float value = planes[c * pixels + from] / gain + offset;
-        root[c] = copysign(sqrt(fabs(value)), value);
-    }
+    for (int c = 0; c < CHANNELS; ++c) root[c] = signed_root(planes[c * pixels + from] / gain + offset);
 #pragma unroll
     for (int a = 0; a < CHANNELS; ++a) {
         float sum = 0.0f;
@@ -83,7 +53,6 @@ __kernel void halve(
         0.25f * ((at[0] + at[right]) + (at[down] + at[down + right]));
 }
 
-#if LINES
 typedef float8 real;
 #define COUNT (CHUNK / 8 + 1)  // vectors of columns in which blocks begin: 8 before the chunk, of which 3 count, and its own
 
@@ -98,7 +67,7 @@ __kernel void shrink(
     __global const float *restrict values,  // [..][rows + 2 TOP][stride]
     __global const float *restrict scales,  // [..][4 down][4 along], 1 / (2 t^2)
     // out:
-    __global float *restrict parts,         // [..][rows][wide], the noise
+    __global float *restrict noise,         // [..][rows][wide]
     // sizes:
     const int rows, const int cols, const int stride, const int wide)
 {
@@ -152,108 +121,9 @@ __kernel void shrink(
             vstore8(vload8(0, sums + 8 * i + 3) + (other + two), 0, sums + 8 * i + 3);
         }
         if (y < 3) continue;
-        __global float *to = parts + ((long)axis * rows + y0 + y - 3) * wide + x0;
+        __global float *to = noise + ((long)axis * rows + y0 + y - 3) * wide + x0;
         for (int i = 0; i < CHUNK / 8; ++i) vstore8(vload8(i + 1, sums) * (1.0f / 256.0f), i, to);
     }
-}
-#else
-inline float4 walsh(const float4 v)
-{
-    const float2 sums = v.xz + v.yw, differences = v.xz - v.yw;
-    return (float4)(sums.x + sums.y, sums.x - sums.y, differences.x - differences.y, differences.x + differences.y);
-}
-
-inline float4 noise_part(const float4 coefficient, const float4 scale)
-{
-    return coefficient * clamp(CEILING - coefficient * coefficient * scale, 0.0f, 1.0f);
-}
-
-// Add what a block removes from its four rows; all are Walsh coefficients along the rows.
-inline void remove_noise(const float4 row[4], const float4 scale[4], float4 removed[4])
-{
-    const float4 up = row[0] + row[1], low = row[2] + row[3], fall = row[0] - row[1], rise = row[2] - row[3];
-    float4 mean = noise_part(up + low, scale[0]);
-    mean.x = 0.0f;  // of the block: a coarser level removes its noise
-    const float4 half_part = noise_part(up - low, scale[1]), bump = noise_part(fall - rise, scale[2]),
-                 zigzag = noise_part(fall + rise, scale[3]);
-    const float4 same = mean + half_part, other = mean - half_part, one = bump + zigzag, two = bump - zigzag;
-    removed[0] += same + one;
-    removed[1] += same - one;
-    removed[2] += other - two;
-    removed[3] += other + two;
-}
-
-__kernel void shrink(
-    // in:
-    __global const float *restrict values,  // [..][rows + 2 TOP][stride]
-    __global const float *restrict scales,  // [..][4 down][4 along], 1 / (2 t^2)
-    // out:
-    __global float *restrict parts,         // [..][5][rows][wide], of two columns of blocks for the five they reach
-    // sizes:
-    const int rows, const int cols, const int stride, const int wide)
-{
-    const int x = get_global_id(0), y0 = get_global_id(1) * BAND, axis = get_global_id(2);
-    GUARD(x >= wide || y0 >= rows)
-    __global const float *from = values + ((long)axis * (rows + 2 * TOP) + y0) * stride + 2 * x + LEFT - 4;
-    float4 scale[4], first[4], second[4], removed[4], added[4];  // of blocks in the first and in the second column
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-        scale[k] = vload4(4 * axis + k, scales);
-        removed[k] = added[k] = (float4)(0.0f);
-        if (k == 3) break;
-        const float4 row = vload4(0, from + (long)k * stride);
-        first[k + 1] = walsh(row);
-        second[k + 1] = walsh((float4)(row.yzw, from[(long)k * stride + 4]));
-    }
-    const int last = min(BAND, rows - y0) + TOP;
-    for (int y = 0; y < last; ++y) {
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-            first[k] = first[k + 1];
-            second[k] = second[k + 1];
-        }
-        const long at = (long)(y + 3) * stride;
-        const float4 row = vload4(0, from + at);
-        first[3] = walsh(row);
-        second[3] = walsh((float4)(row.yzw, from[at + 4]));
-        remove_noise(first, scale, removed);
-        remove_noise(second, scale, added);
-        if (y >= TOP) {
-            const float4 one = walsh(removed[0]), two = walsh(added[0]);
-            const long plane = (long)rows * wide;
-            __global float *to = parts + 5 * axis * plane + (long)(y0 + y - TOP) * wide + x;
-            to[0] = one.x;
-            to[plane] = one.y + two.x;
-            to[2 * plane] = one.z + two.y;
-            to[3 * plane] = one.w + two.z;
-            to[4 * plane] = two.w;
-        }
-#pragma unroll
-        for (int k = 0; k < 3; ++k) {
-            removed[k] = removed[k + 1];
-            added[k] = added[k + 1];
-        }
-        removed[3] = added[3] = (float4)(0.0f);
-    }
-}
-#endif
-
-__kernel void gather(
-    // in:
-    __global const float *restrict parts,  // [..][5][rows][wide]
-    // out:
-    __global float *restrict noise,        // [..][rows][cols]
-    // sizes:
-    const int rows, const int cols, const int wide)
-{
-    const int x = get_global_id(0), y = get_global_id(1), axis = get_global_id(2);
-    GUARD(x >= cols || y >= rows)
-    const long plane = (long)rows * wide;
-    const int odd = x & 1, half_x = x / 2;
-    __global const float *at = parts + (5 * axis + odd) * plane + (long)y * wide + half_x;
-    float sum = at[2] + at[2 * plane + 1];
-    if (!odd) sum += at[4 * plane];
-    noise[((long)axis * rows + y) * cols + x] = sum * (1.0f / 256.0f);
 }
 
 __kernel void compare(
@@ -326,8 +196,6 @@ __kernel void join(
         float root = 0.0f;
 #pragma unroll
         for (int a = 0; a < CHANNELS; ++a) root += inverse[c * CHANNELS + a] * clean[a];
-        const float near = fmin(loss[1] / (loss[0] + root * root), 1.0f);
-        const float lost = (((loss[2] * near + loss[3]) * near + loss[4]) * near + loss[5]) * near + loss[6];
-        planes[((long)c * rows + y) * cols + x] = gain * (root * fabs(root) - offset + share[c] * lost);
+        planes[((long)c * rows + y) * cols + x] = gain * (light_of(root, share[c], loss) - offset);
     }
 }

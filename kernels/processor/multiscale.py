@@ -22,6 +22,7 @@ shading, x = G x', has raised the noise as well: all this is done with x / G.
 """
 
 import functools
+import math
 
 import numpy as np
 
@@ -29,15 +30,22 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.kernels.processor.best import root_gain
 from gpusim.kernels.processor.levels import check_noise, root_loss
-from gpusim.kernels.stage import Array, Case, exact_case, is_opencl_cpu, stage, warp_only
+from gpusim.kernels.stage import Array, Case, exact_case, stage, warp_only
 
 LIMITS = 2.2, 2.6  # of luminance and of chroma [s_k]
 LEVELS = 2, 8  # least and most
 MOST_CHANNELS = 64
 MOST_NODES = 1024  # of gains each way: places between them are counted in 32-bit integers
+# on CPUs
 TOP, LEFT = 3, 8  # margin of a level; after the picture it has room for vectors
-CHUNK, RIGHT = 128, 16  # columns of a CPU's work-item, and further columns that it reads
-BAND = 64, 32  # rows of a work-item, on CPUs and on GPUs
+CHUNK, RIGHT = 128, 16  # columns of a work-item, and further columns that it reads
+BAND = 64  # rows of a work-item
+# on GPUs
+GROUPS = "processor.multiscale_groups"
+LARGE_TILES = 12  # most channels of large tiles, which must fit into local memory
+COLUMNS, LEAD = 128, 4  # columns of a work-group, and how many of these on each side overlap others
+GROUP_BAND = 37  # rows of a work-group
+REGISTERS = 96  # of a work-item of `shrink`; compilers take more, and fewer groups run at a time
 
 
 @stage
@@ -90,7 +98,7 @@ def multiscale(
     """
     axes, spread, share = (np.asarray(one, np.float64) for one in (axes, spread, share))
     shading = np.ones((2, 2)) if gains is None else np.asarray(gains, np.float64)
-    channels = _check(planes.shape, axes, spread, share, shading)
+    _check(planes.shape, axes, spread, share, shading)
     gain, read = check_noise(noise)
     for name, value in (("spread", spread), ("share", share)):
         if not (np.isfinite(value) & (value >= 0)).all():
@@ -105,53 +113,80 @@ def multiscale(
         return planes
     offset = float(0.375 * gain + read * read / gain)
     scales = _scales(spread, strength, gain)
-    _, rows, cols = planes.shape
-    lines = is_opencl_cpu(device)
-    sizes = _level_sizes(rows, cols, len(spread), lines)
-    launch = functools.partial(
-        device.launch,
-        "processor.multiscale",
-        defines={
-            "CHANNELS": channels,
-            "CHUNK": CHUNK,
-            "BAND": BAND[not lines],
-            "LINES": int(lines),
-            "SHADED": int(gains is not None),
-        },
-    )
+    back = np.linalg.inv(axes), share * min(1, strength), root_loss(gain, read)
+    tables = [device.array(table) for table in (shading, axes, *back)]
+    out = device.empty(planes.shape)
+    denoise = _by_groups if device.is_gpu else _by_lines
+    denoise(device, planes, tables, scales, offset, int(gains is not None), out)
+    return out
+
+
+def _by_lines(device, planes, tables, scales, offset, shaded, out):
+    """Denoise on CPUs, level after level."""
+    channels, rows, cols = planes.shape
+    shading, axes, *back = tables
+    nodes = *shading.shape, *warp_only(device, channels, shaded)
+    sizes = _level_sizes(rows, cols, len(scales))
+    defines = {"CHANNELS": channels, "CHUNK": CHUNK, "BAND": BAND, "SHADED": shaded}
+    launch = functools.partial(device.launch, "processor.multiscale", defines=defines)
     values = [device.empty((channels, high + 2 * TOP, stride)) for high, _, stride in sizes]
-    nodes = *shading.shape, *warp_only(device, channels, int(gains is not None))
-    shading = device.array(shading)
-    launch(
-        "split",
-        values[0].shape[1:],
-        *(planes, shading, device.array(axes), values[0], offset, *sizes[0], *nodes),
-    )
+    noise = [device.empty((channels, high, stride - RIGHT)) for high, _, stride in sizes]
+    grid = values[0].shape[1:]
+    launch("split", grid, planes, shading, axes, values[0], offset, *sizes[0], *nodes)
     for finer, coarser, size, half in zip(values, values[1:], sizes, sizes[1:], strict=False):
         launch("halve", coarser.shape, finer, coarser, *size, *half)
-    parts = [
-        _find_noise(device, launch, *level) for level in zip(values, scales, sizes, strict=True)
-    ]
+    for level, size in enumerate(sizes):
+        wide = noise[level].shape[2]
+        grid = channels, -(-size[0] // BAND), wide // CHUNK
+        numbers = *size, wide, *warp_only(device, BAND)
+        table = device.array(scales[level])
+        launch("shrink", grid, values[level], table, noise[level], *numbers, group=(1, 1, 1))
     for level in range(len(sizes) - 2, -1, -1):
         (high, across, _), (below, beside, _) = sizes[level : level + 2]
-        fine, coarse = parts[level], parts[level + 1]
+        fine, coarse = noise[level : level + 2]
         numbers = high, across, fine.shape[2], below, beside, coarse.shape[2]
         launch("compare", (channels, below, beside), fine, coarse, *numbers)
         if level:
             launch("merge", (channels, high, across), coarse, fine, *numbers)
-    out = device.empty((channels, rows, cols))
-    tables = np.linalg.inv(axes), share * min(1, strength), root_loss(gain, read)
     launch(
         "join",
         (rows, cols),
-        *(values[0], *parts[:2], shading, *map(device.array, tables), out, offset, *sizes[0]),
-        *(parts[0].shape[2], *sizes[1][:2], parts[1].shape[2], *nodes),
+        *(values[0], *noise[:2], shading, *back, out, offset, *sizes[0]),
+        *(noise[0].shape[2], *sizes[1][:2], noise[1].shape[2], *nodes),
     )
-    return out
+
+
+def _by_groups(device, planes, tables, scales, offset, shaded, out):
+    """Denoise on GPUs, all levels at once."""
+    channels, rows, cols = planes.shape
+    shading, axes, *back = tables
+    nodes = shading.shape
+    levels = len(scales)
+    sizes = [(-(-rows // 2**level), -(-cols // 2**level)) for level in range(levels)]
+    values, noise = (device.empty((channels * sum(map(math.prod, sizes)),)) for _ in range(2))
+    tile, halvings = (32, 5) if channels <= LARGE_TILES else (8, 3)
+    items = 8 * tile
+    defines = {"CHANNELS": channels, "LEVELS": levels, "SHADED": shaded, "TILE": tile}
+    defines |= {"COLUMNS": COLUMNS, "BAND": GROUP_BAND}
+
+    def launch(kernel, groups, items, *arguments, **more):
+        grid, group = (groups * items,), (items,)
+        device.launch(GROUPS, kernel, grid, *arguments, defines=defines | more, group=group)
+
+    tiles = -(-rows // tile) * -(-cols // tile)
+    launch("split", tiles, items, planes, shading, axes, values, offset, rows, cols, *nodes)
+    for level in range(halvings + 1, levels):
+        groups = -(-channels * math.prod(sizes[level]) // items)
+        launch("halve", groups, items, values, rows, cols, level)
+    bands = sum(-(-high // GROUP_BAND) * -(-wide // (COLUMNS - 2 * LEAD)) for high, wide in sizes)
+    arrays = values, device.array(scales), noise
+    launch("shrink", channels * bands, COLUMNS, *arrays, rows, cols, REGISTERS=REGISTERS)
+    numbers = offset, rows, cols, *nodes
+    launch("join", tiles, items, values, noise, shading, *back, out, *numbers)
 
 
 def _check(shape, axes, spread, share, shading):
-    """Return the number of channels. Raise BadData."""
+    """Raise BadData."""
     channels = shape[0] if len(shape) == 3 else 0
     levels = len(spread) if spread.ndim else 0
     wanted = (channels, channels), (levels, channels, 4, 4), (channels,)
@@ -171,7 +206,6 @@ def _check(shape, axes, spread, share, shading):
         )
     if not np.isfinite(axes).all() or not np.linalg.cond(axes) < 1e6:
         raise BadData("multiscale: axes: wanted a matrix of finite numbers that has an inverse")
-    return channels
 
 
 def _scales(spread, strength, gain):
@@ -181,32 +215,13 @@ def _scales(spread, strength, gain):
     return (1 / np.maximum(2 * t**2, 1e-30)).astype(np.float32)
 
 
-def _level_sizes(rows, cols, levels, lines):
+def _level_sizes(rows, cols, levels):
     """Return rows, columns, and the columns of a plane with its margin, of each level."""
     sizes = []
     for _ in range(levels):
-        room = -(-cols // CHUNK) * CHUNK if lines else -(-cols // 16) * 16
-        sizes.append((rows, cols, room + RIGHT))
+        sizes.append((rows, cols, -(-cols // CHUNK) * CHUNK + RIGHT))
         rows, cols = (rows + 1) // 2, (cols + 1) // 2
     return sizes
-
-
-def _find_noise(device, launch, values, scales, size):
-    """Return what the blocks of a level remove, (C, rows, cols) and on CPUs some columns more."""
-    rows, cols, stride = size
-    channels, table = len(scales), device.array(scales)
-    if is_opencl_cpu(device):
-        wide = stride - RIGHT
-        noise = device.empty((channels, rows, wide))
-        grid = (channels, -(-rows // BAND[0]), wide // CHUNK)
-        launch("shrink", grid, values, table, noise, *size, wide, group=(1, 1, 1))
-        return noise
-    wide = cols // 2 + 3
-    parts, noise = device.empty((5 * channels, rows, wide)), device.empty((channels, rows, cols))
-    grid = channels, -(-rows // BAND[1]), wide
-    launch("shrink", grid, values, table, parts, *size, wide, *warp_only(device, BAND[1]))
-    launch("gather", noise.shape, parts, noise, rows, cols, wide)
-    return noise
 
 
 def multiscale_memory(device: Device, channels: int, rows: int, cols: int, levels: int) -> int:
@@ -219,10 +234,12 @@ def multiscale_memory(device: Device, channels: int, rows: int, cols: int, level
         cols: Columns of the picture.
         levels: Levels of the pyramid.
     """
-    lines, floats = is_opencl_cpu(device), 0
-    for high, across, stride in _level_sizes(rows, cols, levels, lines):
-        floats += (high + 2 * TOP) * stride
-        floats += high * (stride - RIGHT if lines else across + 5 * (across // 2 + 3))
+    floats = 0
+    for high, across, stride in _level_sizes(rows, cols, levels):
+        if device.is_gpu:
+            floats += 2 * high * across
+        else:
+            floats += (high + 2 * TOP) * stride + high * (stride - RIGHT)
     return 4 * channels * floats
 
 
@@ -272,7 +289,7 @@ def _inputs(random, channels, rows, cols, levels, noise=(0.01, 0.02), strength=1
 
 
 def cases():
-    """Yield cases: sizes below a block, one to eight channels, all numbers of levels, noise models."""
+    """Yield cases: sizes below a block, one to 17 channels, all numbers of levels, noise models."""
     random = np.random.default_rng(40)
     for channels, rows, cols, levels, more in (
         (3, 1, 1, 5, {}),
@@ -282,7 +299,8 @@ def cases():
         (3, 70, 200, 5, {"noise": (0.02, 0.0), "gains": random.uniform(1, 3, (3, 5))}),
         (2, 66, 131, 2, {"noise": (0.0, 0.05), "strength": 4.0}),
         (4, 40, 31, 8, {"strength": 0.5}),
-        (8, 9, 130, 3, {}),
+        (12, 9, 130, 3, {}),  # the most channels of large tiles on GPUs
+        (17, 45, 21, 5, {}),
     ):
         inputs = _inputs(random, channels, rows, cols, levels, **more)
         name = f"{channels} channels, {rows}x{cols}, {levels} levels"

@@ -1,4 +1,4 @@
-"""The pyramid, the blocks' noise and the way back, as in multiscale.cl."""
+"""As multiscale.cl, for Warp's CPU device; GPUs run multiscale_groups.cl."""
 
 # mypy: ignore-errors
 import warp as wp  # noqa: TID253  this module is imported only when a Warp device launches it
@@ -7,6 +7,9 @@ wp.set_module_options({"enable_backward": False})
 
 LEFT = wp.constant(8)
 TOP = wp.constant(3)
+CHUNK = wp.constant(128)  # columns of a work-item of `shrink`, as in multiscale.py
+BEGINS = wp.constant(131)  # columns in which blocks begin that reach them
+REACHED = wp.constant(134)  # columns that these blocks reach
 
 
 @wp.func
@@ -149,7 +152,7 @@ def shrink(
     values: wp.array3d[float],
     scales: wp.array3d[float],
     # out:
-    parts: wp.array3d[float],
+    noise: wp.array3d[float],
     # sizes:
     rows: int,
     cols: int,
@@ -157,79 +160,45 @@ def shrink(
     wide: int,
     band: int,
 ):
-    axis, strip, x = wp.tid()
+    axis, strip, chunk = wp.tid()
     y0 = strip * band
-    u = 2 * x + LEFT - 4
+    x0 = chunk * CHUNK
     scale = wp.mat44()
     for k in range(4):
         for j in range(4):
             scale[k, j] = scales[axis, k, j]
-    a1 = wp.vec4()
-    a2 = wp.vec4()
-    a3 = wp.vec4()
-    b1 = wp.vec4()
-    b2 = wp.vec4()
-    b3 = wp.vec4()
-    removed1 = wp.vec4()
-    removed2 = wp.vec4()
-    removed3 = wp.vec4()
-    added1 = wp.vec4()
-    added2 = wp.vec4()
-    added3 = wp.vec4()
+    along = wp.zeros(shape=(4, BEGINS), dtype=wp.vec4)  # rows of coefficients of four rows
+    removed = wp.zeros(shape=(4, BEGINS), dtype=wp.vec4)  # the same of what blocks remove
     last = wp.min(band, rows - y0) + TOP
     for y in range(-3, last):
         row = y0 + y + 3
-        one = values[axis, row, u + 1]
-        two = values[axis, row, u + 2]
-        three = values[axis, row, u + 3]
-        a4 = walsh(values[axis, row, u], one, two, three)
-        b4 = walsh(one, two, three, values[axis, row, u + 4])
+        fresh = (y + 3) % 4
+        for i in range(BEGINS):
+            u = x0 + i + LEFT - 3
+            along[fresh, i] = walsh(
+                values[axis, row, u],
+                values[axis, row, u + 1],
+                values[axis, row, u + 2],
+                values[axis, row, u + 3],
+            )
         if y >= 0:
-            first = block_noise(a1, a2, a3, a4, scale)
-            second = block_noise(b1, b2, b3, b4, scale)
-            if y >= TOP:
-                done = removed1 + first[0]
-                more = added1 + second[0]
+            r0 = y % 4
+            r1 = (y + 1) % 4
+            r2 = (y + 2) % 4
+            sums = wp.zeros(shape=(REACHED,), dtype=float)
+            for i in range(BEGINS):
+                part = block_noise(along[r0, i], along[r1, i], along[r2, i], along[fresh, i], scale)
+                done = removed[r0, i] + part[0]
+                removed[r0, i] = wp.vec4()
+                removed[r1, i] = removed[r1, i] + part[1]
+                removed[r2, i] = removed[r2, i] + part[2]
+                removed[fresh, i] = removed[fresh, i] + part[3]
                 done = walsh(done[0], done[1], done[2], done[3])
-                more = walsh(more[0], more[1], more[2], more[3])
-                to = y0 + y - TOP
-                parts[5 * axis, to, x] = done[0]
-                parts[5 * axis + 1, to, x] = done[1] + more[0]
-                parts[5 * axis + 2, to, x] = done[2] + more[1]
-                parts[5 * axis + 3, to, x] = done[3] + more[2]
-                parts[5 * axis + 4, to, x] = more[3]
-            removed1 = removed2 + first[1]
-            removed2 = removed3 + first[2]
-            removed3 = first[3]
-            added1 = added2 + second[1]
-            added2 = added3 + second[2]
-            added3 = second[3]
-        a1 = a2
-        a2 = a3
-        a3 = a4
-        b1 = b2
-        b2 = b3
-        b3 = b4
-
-
-@wp.kernel
-def gather(
-    # in:
-    parts: wp.array3d[float],
-    # out:
-    noise: wp.array3d[float],
-    # sizes:
-    rows: int,
-    cols: int,
-    wide: int,
-):
-    axis, y, x = wp.tid()
-    half_x = x / 2
-    first = 5 * axis + x % 2
-    sum = parts[first, y, half_x + 2] + parts[first + 2, y, half_x + 1]
-    if x % 2 == 0:
-        sum += parts[first + 4, y, half_x]
-    noise[axis, y, x] = sum * (1.0 / 256.0)
+                for j in range(4):
+                    sums[i + j] = sums[i + j] + done[j]
+            if y >= TOP:
+                for i in range(CHUNK):
+                    noise[axis, y0 + y - TOP, x0 + i] = sums[i + 3] * (1.0 / 256.0)
 
 
 @wp.kernel

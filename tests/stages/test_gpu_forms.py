@@ -104,7 +104,10 @@ def test_the_far_field_goes_one_axis_after_the_other_where_local_memory_does_not
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stage", ["optics.blur", "optics.tiles", "optics.mosaic", "sensor.meter"])
+@pytest.mark.parametrize(
+    "stage",
+    ["optics.blur", "optics.tiles", "optics.mosaic", "sensor.meter", "processor.multiscale"],
+)
 def test_kernels_of_groups_need_only_the_local_memory_that_every_gpu_has(stage):
     """OpenCL's least is 32 KiB; sensor.meter needed 16 bytes more for four quantiles."""
     device = FullOfNaN()
