@@ -48,7 +48,7 @@ class Mask:
         if largest > 1 + 1e-12:
             raise OutOfRange("optics.mask", f"an amplitude of {largest:.6g}", "0 <= amplitude <= 1")
         if np.square(np.abs(values)).mean() < LEAST_LIGHT:
-            raise OutOfRange("optics.mask", "a mask through which no light passes", "open cells")
+            raise OutOfRange("optics.mask", "no light passes", "at least one open cell")
         values.flags.writeable = False
         object.__setattr__(self, "values", values)
 
@@ -64,6 +64,38 @@ class Mask:
 
     def __hash__(self) -> int:
         return hash(self._key)
+
+    @cached_property
+    def pieces(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The same mask on the coarsest grid of rows and columns, without closed ones at its borders.
+
+        Edges along y (m + 1,) and along x (n + 1,), and amplitudes (m, n).
+        """
+        values, edges = self.values, []
+        for axis in (0, 1):
+            count = self.values.shape[axis]
+            lines = np.moveaxis(values, axis, 0)
+            lit = np.flatnonzero(lines.any(axis=1))
+            first, last = lit[0], lit[-1] + 1
+            changes = (lines[first + 1 : last] != lines[first : last - 1]).any(axis=1)
+            starts = np.append(first, first + 1 + np.flatnonzero(changes))
+            values = np.moveaxis(lines[starts], 0, axis)
+            edges.append(2 * np.append(starts, last) / count - 1)
+        return edges[0], edges[1], values
+
+    def light_at(self, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Return the share of light that passes at places in the pupil, 0 outside the mask.
+
+        Args:
+            y: Rows of the places, any shape [radius of the pupil].
+            x: Columns, of that shape.
+
+        Returns:
+            Shares 0 .. 1, of that shape.
+        """
+        edges_y, edges_x, values = self.pieces
+        wide = np.pad(np.square(np.abs(values)), 1)
+        return wide[np.searchsorted(edges_y, y), np.searchsorted(edges_x, x)]
 
     @property
     def has_phase(self) -> bool:

@@ -142,7 +142,10 @@ class Optics:
         """Raise BadData for settings that measured point spreads already include."""
         if self.model != "measured":
             return
-        given = self._blur_settings() | {"optics.pupil: blades, obscuration": self.pupil != Pupil()}
+        given = self._blur_settings() | {
+            "optics.mask": self.pupil.mask is not None,
+            "optics.pupil: blades, obscuration": self.pupil != Pupil(),
+        }
         for name, is_set in given.items():
             if is_set:
                 more = (
@@ -296,6 +299,9 @@ class Optics:
             f"polygon of {self.pupil.blades} blades" if self.pupil.blades else "circular pupil"
         ]
         words += [f"{self.pupil.obscuration:g} obscured"] if self.pupil.obscuration else []
+        if (mask := self.pupil.mask) is not None:
+            rows, cols = mask.values.shape
+            words += [f"mask of {rows} x {cols} cells, {self.pupil.openness:.3g} of the light"]
         words += ["out of focus"] if isinstance(self.defocus, Spectrum) or self.defocus else []
         words += (
             ["aberrated"] if any(self.wavefront.seidel) or np.any(self.wavefront.zernike) else []

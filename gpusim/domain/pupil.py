@@ -5,7 +5,7 @@ radius. The wavefront W(x, y) is in waves, with the sign of Welford (Aberrations
 1986, eq. 7.16): a ray through (x, y) meets the image at -2 lambda N grad W from the ideal point.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from itertools import pairwise
 from math import comb, factorial
@@ -57,9 +57,7 @@ class Pupil:
         check_fields("optics.pupil", self, {"rotation": Limits("a finite angle", FINITE)})
         if self.mask is not None and self.area < LEAST_LIGHT:
             raise OutOfRange(
-                "optics.mask",
-                "a mask through which no light passes",
-                "open cells inside the pupil",
+                "optics.mask", "no light passes", "at least one open cell inside the pupil"
             )
 
     @cached_property
@@ -69,6 +67,11 @@ class Pupil:
             return float(light_moments(self, 1)[0, 0] / np.pi)
         n = self.blades
         return (n / (2 * np.pi) * np.sin(2 * np.pi / n) if n else 1.0) - self.obscuration**2
+
+    @property
+    def openness(self) -> float:
+        """Share of the light of the opening that the mask lets pass [1]."""
+        return self.area / replace(self, mask=None).area
 
     @property
     def is_clear_circle(self) -> bool:
@@ -300,50 +303,73 @@ def masked_rows(pupil: Pupil, cycles: float = 0.0) -> tuple[np.ndarray, ...]:
     Returns:
         Places v (R,) and masses (R,) of the rows, ends of their pieces (R, n + 1), and the pieces' amplitudes (R, n).
     """
-    values = np.ones((1, 1)) if pupil.mask is None else pupil.mask.values
-    edges_y, edges_x = (np.linspace(-1, 1, count + 1) for count in values.shape)
-    outlines = [
-        (_polygon_rows if pupil.blades else _circle_rows)(pupil, 1.0, edges_y, edges_x, cycles)
-    ]
+    if pupil.mask is None:
+        edges_y = edges_x = np.array([-1.0, 1.0])
+        values: np.ndarray = np.ones((1, 1))
+    else:
+        edges_y, edges_x, values = pupil.mask.pieces
+    outlines = [(_polygon_rows if pupil.blades else _circle_rows)(pupil, edges_y, edges_x, cycles)]
     if pupil.obscuration:
-        v, mass, reach = _circle_rows(pupil, pupil.obscuration, edges_y, edges_x, cycles)
-        outlines.append((v, -mass, reach))
-    v, mass, reach = (np.concatenate(part) for part in zip(*outlines, strict=True))
-    ends = np.clip(edges_x, reach[:, :1], reach[:, 1:])
-    row = np.clip(np.searchsorted(edges_y, v, "right") - 1, 0, len(values) - 1)
-    return v, mass, ends, values[row]
+        hole = Pupil(), edges_y / pupil.obscuration, edges_x / pupil.obscuration
+        v, mass = _circle_rows(*hole, cycles * pupil.obscuration)
+        outlines.append((v * pupil.obscuration, -mass * pupil.obscuration))
+    found = []
+    for number, (v, mass) in enumerate(outlines):
+        left, right = chord(pupil, v) if number == 0 else hole_chord(pupil, v)
+        ends = np.clip(edges_x, left[:, None], right[:, None])
+        row = np.clip(np.searchsorted(edges_y, v, "right") - 1, 0, len(values) - 1)
+        is_lit = ((np.diff(ends, axis=1) > 0) & (values[row] != 0)).any(axis=1)
+        found.append((v[is_lit], mass[is_lit], ends[is_lit], values[row[is_lit]]))
+    v, mass, ends, amplitudes = (np.concatenate(part) for part in zip(*found, strict=True))
+    return v, mass, ends, amplitudes
 
 
-def _circle_rows(pupil, radius, edges_y, edges_x, cycles):
-    """Rows of a circle, their masses and ends (R, 2): Gauss nodes of the angle t, v = radius sin t."""
-    square = radius**2 - edges_x[np.abs(edges_x) < radius] ** 2
-    bends = np.concatenate([edges_y[np.abs(edges_y) < radius], np.sqrt(square), -np.sqrt(square)])
-    turns = np.append(np.arcsin(np.clip(bends / radius, -1, 1)), [-np.pi / 2, 0, np.pi / 2])
-    t, mass = _nodes(turns, 2 * cycles * radius)
-    reach = radius * np.cos(t)
-    return radius * np.sin(t), mass * reach, np.stack([-reach, reach], axis=1)
+def chord(pupil: Pupil, v) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last u of a pupil's rows v, both (R,), without its obstruction; outside, the same."""
+    if not pupil.sides.size:
+        reach = np.sqrt(np.maximum(1 - v * v, 0))
+        return -reach, reach
+    nx, ny = np.cos(pupil.sides), np.sin(pupil.sides)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        cut = (pupil.inner_radius - ny * v[:, None]) / nx
+    left = np.where(nx < -1e-12, cut, -np.inf).max(axis=1)
+    right = np.where(nx > 1e-12, cut, np.inf).min(axis=1)
+    corners = np.sin(pupil.corners)
+    is_inside = (v > corners.min() - 1e-9) & (v < corners.max() + 1e-9)
+    return left, np.where(is_inside, np.maximum(left, right), left)
 
 
-def _polygon_rows(pupil, radius, edges_y, edges_x, cycles):
-    """Rows of a polygon, their masses and ends (R, 2)."""
+def hole_chord(pupil: Pupil, v) -> tuple[np.ndarray, np.ndarray]:
+    """Return the first and the last u of rows v of a pupil's obstruction, both (R,)."""
+    reach = np.sqrt(np.maximum(pupil.obscuration**2 - v * v, 0))
+    return -reach, reach
+
+
+def _circle_rows(pupil, edges_y, edges_x, cycles):
+    """Rows of a circle of radius 1 and their masses: Gauss nodes of the angle t, v = sin t."""
+    root = np.sqrt(1 - edges_x[np.abs(edges_x) < 1] ** 2)
+    bends = np.arcsin(np.clip([*edges_y, 0, *root, *-root], -1, 1))
+    t, mass = _nodes(bends, edges_y[[0, -1]].clip(-1, 1), np.arcsin, 2 * cycles)
+    return np.sin(t), mass * np.cos(t)
+
+
+def _polygon_rows(pupil, edges_y, edges_x, cycles):
+    """Rows of a polygon and their masses."""
     nx, ny = np.cos(pupil.sides), np.sin(pupil.sides)
     corners = np.sin(pupil.corners)
     with np.errstate(divide="ignore", invalid="ignore"):
         crossed = (pupil.inner_radius - np.outer(edges_x, nx)) / ny
     bends = np.concatenate([corners, edges_y, crossed[np.isfinite(crossed)]])
-    inside = (bends >= corners.min()) & (bends <= corners.max())
-    v, mass = _nodes(bends[inside], 2 * cycles)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cut = (pupil.inner_radius - ny * v[:, None]) / nx
-    left = np.where(nx < -1e-12, cut, -np.inf).max(axis=1)
-    right = np.where(nx > 1e-12, cut, np.inf).min(axis=1)
-    return v, mass, np.stack([left, right], axis=1)
+    ends = edges_y[[0, -1]].clip(corners.min(), corners.max())
+    return _nodes(bends, ends, np.asarray, 2 * cycles)
 
 
-def _nodes(bends, cycles):
-    """Gauss nodes and weights between bends, more of them where a phase has cycles per unit."""
-    found = []
-    for low, high in pairwise(np.unique(np.round(bends, 12))):
+def _nodes(bends, ends, map_ends, cycles):
+    """Gauss nodes and weights between bends and ends, more of them if a phase has cycles per unit."""
+    first, last = map_ends(ends)
+    found = [(np.empty(0), np.empty(0))]
+    inside = np.append(bends[(bends > first) & (bends < last)], [first, last])
+    for low, high in pairwise(np.unique(np.round(inside, 12))):
         x, weight = _gauss(PANEL + 2 * int(np.ceil(1.5 * cycles * (high - low))))
         found.append((low + (high - low) * (x + 1) / 2, weight * (high - low) / 2))
     return (np.concatenate(part) for part in zip(*found, strict=True))

@@ -40,6 +40,8 @@ def require_truth(camera, scene):
     """
     optics = camera.optics
     has_psf = optics.psf is not None
+    if optics.pupil.mask is not None:
+        raise OutOfRange("verify", "a mask in the pupil", "a pupil without a mask")
     samples = f"{scene.samples_per_pixel:g} samples per pixel"
     if not float(scene.samples_per_pixel).is_integer() and optics.varies:
         what = f"{samples} with a blur that varies over the field"

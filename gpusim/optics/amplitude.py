@@ -13,6 +13,7 @@ import numpy as np
 from gpusim.domain.pupil import Pupil, masked_rows
 from gpusim.optics.blas import one_core
 from gpusim.optics.memo import remember
+from gpusim.optics.opening import Opening
 from gpusim.optics.psf import fastest_turn
 from gpusim.optics.quadrature import FINE, ORDER, STEP, even_places, share_of_end
 
@@ -31,27 +32,49 @@ def image_amplitude(pupil: Pupil, wave: np.ndarray, half: int) -> np.ndarray:
     Returns:
         complex64 (2 half + 1, 2 half + 1), rows (Y) first.
     """
-    wave = np.asarray(wave, np.float64)
-    return _image_amplitude(pupil, int(half), wave.shape, np.round(wave, 12).tobytes())
+    cycles = fastest_turn(wave)
+    return opening_amplitude(pupil, Opening(), np.asarray(wave, np.float64), cycles, (half, half))
+
+
+def opening_amplitude(
+    pupil: Pupil, opening: Opening, wave: np.ndarray, turn: float, halves: tuple[int, int]
+) -> np.ndarray:
+    """Return the amplitude around a point's image in the scale of an opening, samples STEP apart.
+
+    Args:
+        pupil: The pupil.
+        opening: A rectangle that has all of its light.
+        wave: The wavefront in the scale of the opening: see `Opening.scaled` [waves].
+        turn: Its largest slope [waves per half side].
+        halves: Samples on each side of the middle, (rows, cols).
+
+    Returns:
+        complex64 (2 halves[0] + 1, 2 halves[1] + 1), of energy 1 in the whole image.
+    """
+    known = wave.shape, np.round(wave, 12).tobytes()
+    return _opening_amplitude(pupil, opening, *known, float(turn), tuple(map(int, halves)))
 
 
 @remember(2**27)
-def _image_amplitude(pupil, half, shape, values):
+def _opening_amplitude(pupil, opening, shape, values, turn, halves):
     wave = np.frombuffer(values).reshape(shape)
-    cycles = max(half * STEP + fastest_turn(wave), 4.0)
-    # along diagonals phases are faster, by (sqrt(2) - 1) of the samples' part
-    v, mass, ends, amplitude = masked_rows(pupil, cycles + (np.sqrt(2) - 1) * half * STEP)
-    step, u = even_places(2 * int(np.ceil(FINE * cycles)) + ORDER)
-    weights = _weigh(ends, amplitude, u, step) * (mass * step)[:, None]
-    powers, at = np.arange(len(wave)), 2 * np.pi * STEP * np.arange(-half, half + 1)
+    (y0, x0), (by, bx) = opening.middle, opening.half
+    down, across = (max(half * STEP + turn, 4.0) for half in halves)
+    # along the rim phases turn by both axes' cycles
+    v, mass, ends, amplitude = masked_rows(pupil, float(np.hypot(down / by, across / bx)))
+    step, u = even_places(2 * int(np.ceil(FINE * across)) + ORDER)
+    v = (v - y0) / by
+    weights = _weigh((ends - x0) / bx, amplitude, u, step) * (mass * step / by)[:, None]
+    powers = np.arange(len(wave))
+    at_y, at_x = (2 * np.pi * STEP * np.arange(-half, half + 1) for half in halves)
     with one_core():
         path = v[:, None] ** powers @ (wave.T @ u ** powers[:, None])
         path -= np.rint(path)
         field = (weights * np.exp(2j * np.pi * path)).astype(np.complex64)
-        down = np.exp(1j * np.outer(at, v)).astype(np.complex64)
-        across = np.exp(1j * np.outer(u, at)).astype(np.complex64)
-        found = down @ (field @ across)
-    return found * np.float32(STEP / np.sqrt(np.pi * pupil.area))
+        from_v = np.exp(1j * np.outer(at_y, v)).astype(np.complex64)
+        from_u = np.exp(1j * np.outer(u, at_x)).astype(np.complex64)
+        found = from_v @ (field @ from_u)
+    return found * np.float32(STEP * np.sqrt(by * bx / (np.pi * pupil.area)))
 
 
 def _weigh(ends, amplitude, u, step):

@@ -1,9 +1,9 @@
 """Point spreads of pixels that are far coarser than lambda N: the density of rays, with diffraction's tail, float64.
 
 A ray through (u, v) meets the image at -2 q grad W. Diffraction takes the share c s from the transfer function at s =
-q f of the cut-off, c = 4 / pi for a circle: pixels lose q times the light that the tail t r^-3 of `edge_tail` throws
-out of them. Of the phases at the pupil's rim, which turn this share as they turn the light, only the mean is kept: the
-transfer function errs by less than c q f, f <= sqrt(1/2) cycle per pixel.
+q f of the cut-off, c = 4 / pi for a circle: pixels lose q times the light that the tail t r^-3 of `edge_strength`
+throws out of them. Of the phases at the pupil's rim, which turn this share as they turn the light, only the mean is
+kept: the transfer function errs by less than c q f, f <= sqrt(1/2) cycle per pixel.
 """
 
 from functools import lru_cache
@@ -14,7 +14,7 @@ from numpy.polynomial.polynomial import polyder, polygrid2d
 from scipy.special import ndtr, roots_legendre
 
 from gpusim.domain.pupil import Pupil
-from gpusim.optics.farfield import edge_tail
+from gpusim.optics.mask_edges import edge_strength
 from gpusim.optics.otf import defocus_only, transfer
 from gpusim.optics.psf import coverage
 
@@ -31,7 +31,7 @@ NEAR = 3  # [pixel] up to which the tail is integrated by a Gauss rule, and not 
 def cusp(pupil: Pupil) -> float:
     """Return c of the transfer function 1 - c s near 0: the mean width that the pupil's edge loses."""
     # a tail t q r^-3 transforms to -2 pi t q 2 pi f
-    return 4 * np.pi**2 * edge_tail(pupil)
+    return 4 * np.pi**2 * edge_strength(pupil)
 
 
 def ray_error(pupil: Pupil, waves, q) -> float:
@@ -197,7 +197,7 @@ def _tail_factor(pupil, wave, q, aperture, rows, cols):
     Rays in one point leave its own aperture. Others leave apertures and gaps alike.
     """
     own = (1.0, 1.0) if wave.any() else tuple(aperture)
-    return 1 + q * edge_tail(pupil) * np.prod(own) * _tail(rows, cols, own)
+    return 1 + q * edge_strength(pupil) * np.prod(own) * _tail(rows, cols, own)
 
 
 def coarse_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft) -> np.ndarray:

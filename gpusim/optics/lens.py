@@ -1,8 +1,9 @@
 """Lenses: how each kind spreads a point's light, anywhere in the field, in front of a grid of samples.
 
 `open_lens` makes the object for the settings of a camera's optics. Everything else calls its methods (`Lens`) and does
-not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MeasuredLens` has point spreads that were
-measured or traced by a ray tracer, and `PointLens` does not blur.
+not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MaskedLens` (`gpusim.optics.masked_lens`)
+at one with a mask, `MeasuredLens` has point spreads that were measured or traced by a ray tracer, and `PointLens` does
+not blur.
 
 A field point is (y, x), 1 the distance of the frame's corner from the axis, in the direction of rows and columns.
 """
@@ -164,6 +165,10 @@ class Lens(Protocol):
         """How the blur follows the distance, in words, if that is a model whose error is not known; else ""."""
 
     @property
+    def has_point_kernels(self) -> bool:
+        """Whether the light of a point is known at any distance from it, for highlights."""
+
+    @property
     def symmetry(self) -> Symmetry:
         """Symmetries of the blur."""
 
@@ -313,6 +318,7 @@ class _OnGrid:
 
     is_pointlike = False
     is_adjustable = True
+    has_point_kernels = True
     distances = None
     distance_model = ""
 
@@ -501,9 +507,9 @@ class PupilLens(_OnGrid):
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
-        wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
+        wavelengths, fy, fx = checked_frequencies(wavelengths, fy, fx)
         optics = self.optics
-        waves = self.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self.waves(wavelengths, *polar(place), distance=distance)
         cut = wavelengths * 1e-9 * optics.working_f_number  # [m/cycle]
         found = np.empty((len(waves), fx.size), complex)
         for own, wave, one in zip(found, waves, cut, strict=True):
@@ -519,7 +525,7 @@ class PupilLens(_OnGrid):
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
         """See `Lens`."""
         step = 2 * reach / count
-        alone = PupilLens(replace(self.optics, lateral_color=0.0), step, (1.0, 1.0), 0.0)
+        alone = type(self)(replace(self.optics, lateral_color=0.0), step, (1.0, 1.0), 0.0)
         return alone.kernels(wavelengths, place, count), step
 
     def table_error(self, wavelengths, distance=None) -> float:
@@ -534,7 +540,7 @@ class PupilLens(_OnGrid):
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """See `Lens`. The energies are exact integrals, without a diffuser."""
         optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
-        waves = self.waves(wavelengths, *_polar(place), distance=float(spot[4]) or None)
+        waves = self.waves(wavelengths, *polar(place), distance=float(spot[4]) or None)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:4]
         found, centres = np.empty((len(waves), len(at), len(at))), np.empty((len(waves), 2))
         for own, centre, q, wave, shift in zip(
@@ -564,7 +570,7 @@ class PupilLens(_OnGrid):
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`."""
         optics, q = self.optics, self.q(wavelengths)
-        waves = self.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self.waves(wavelengths, *polar(place), distance=distance)
         shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
         spots, soft = self.spots, optics.diffuser / self.pitch
         settings = size, tuple(self.aperture), spots, soft
@@ -590,7 +596,7 @@ class PupilLens(_OnGrid):
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
-        waves = self.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self.waves(wavelengths, *polar(place), distance=distance)
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
         return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
@@ -605,7 +611,7 @@ class PupilLens(_OnGrid):
             size = 2 * int(np.ceil(rays + np.abs(shifts).max())) + 3
             return _first_moments(self.kernels(wavelengths, place, size, distance))
         pupil, soft = self.optics.pupil, self.optics.diffuser / self.pitch
-        waves = self.waves(wavelengths, *_polar(place), distance=distance)
+        waves = self.waves(wavelengths, *polar(place), distance=distance)
         settings = tuple(self.aperture), self.spots, soft
         return _moments(pupil, waves, q, shifts, *settings, light, size)
 
@@ -746,7 +752,7 @@ class MeasuredLens(_OnGrid):
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`. Between its wavelengths a measured point spread is linear."""
-        wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
+        wavelengths, fy, fx = checked_frequencies(wavelengths, fy, fx)
         values = spread_at(self.spread_data, wavelengths, place, self._own(distance))
         spacing, (rows, cols) = self.spread_data.spacing, values.shape[1:]
         left = np.exp(-2j * np.pi * spacing * np.outer(fy, np.arange(rows) - (rows - 1) / 2))
@@ -817,7 +823,7 @@ class PointLens(_OnGrid):
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
-        wavelengths, fy, fx = _checked_frequencies(wavelengths, fy, fx)
+        wavelengths, fy, fx = checked_frequencies(wavelengths, fy, fx)
         return np.ones((len(wavelengths), fx.size), complex)
 
     def sampled_spread(self, wavelengths, place, reach, count) -> tuple[np.ndarray, float]:
@@ -854,7 +860,12 @@ def open_lens(
     if optics.psf is not None:
         field = tuple(n / 2 / corner for n in shape)
         return MeasuredLens(optics, optics.psf, pitch, (height, width), field, displacement, axis)
-    return PupilLens(optics, pitch, (height, width), corner, displacement, axis)
+    settings = optics, pitch, (height, width), corner, displacement, axis
+    if optics.pupil.mask is not None:
+        from gpusim.optics.masked_lens import MaskedLens
+
+        return MaskedLens(*settings)
+    return PupilLens(*settings)
 
 
 def lens_of(camera: Camera) -> Lens:
@@ -890,14 +901,14 @@ def _disc_transfer(cycles) -> np.ndarray:
     return 2 * scipy.special.j1(v) / v
 
 
-def _polar(place) -> tuple[float, float]:
-    """Height and azimuth [rad] of a field point (y, x)."""
+def polar(place) -> tuple[float, float]:
+    """Return height and azimuth [rad] of a field point (y, x)."""
     y, x = place
     return float(np.hypot(y, x)), float(np.arctan2(y, x))
 
 
-def _checked_frequencies(wavelengths, fy, fx):
-    """Wavelengths (L,) and frequencies (F,), (F,) as arrays."""
+def checked_frequencies(wavelengths, fy, fx):
+    """Return wavelengths (L,) and frequencies (F,), (F,) as arrays."""
     fy, fx = np.broadcast_arrays(*np.atleast_1d(fy, fx))
     return np.atleast_1d(np.asarray(wavelengths, np.float64)), fy.astype(float), fx.astype(float)
 

@@ -17,6 +17,7 @@ import scipy
 
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil
+from gpusim.optics.opening import Opening
 
 FINE = 1024  # points across the pupil, of which areas are counted
 SHARP = 0.5  # [sample] radius of a blur that stays within its cell
@@ -321,15 +322,28 @@ def pupil_points(pupil: Pupil, count: int) -> np.ndarray:
     plastic number.
     """
     plastic = 1.32471795724474602596
-    total = int(np.ceil(1.2 * count * 4 / np.pi / pupil.area)) + 64
-    steps = np.outer(np.arange(1, total + 1), [1 / plastic, 1 / plastic**2])
-    y, x = (2 * ((0.5 + steps) % 1) - 1).T
-    inside = np.flatnonzero(is_open(pupil, y, x))[:count]
-    return np.stack([y[inside], x[inside], np.full(count, 1 / count)], axis=1)
+    opening, total = Opening.of(pupil), 0
+    wide = 4 * np.prod(opening.half)
+    light = np.zeros(0)
+    while np.count_nonzero(light) < count:
+        total = 2 * total or int(np.ceil(1.2 * count * wide / np.pi / pupil.area)) + 64
+        steps = np.outer(np.arange(1, total + 1), [1 / plastic, 1 / plastic**2])
+        y, x = (2 * ((0.5 + steps) % 1) - 1).T
+        y, x = opening.middle[0] + opening.half[0] * y, opening.middle[1] + opening.half[1] * x
+        light = light_at(pupil, y, x)
+    inside = np.flatnonzero(light)[:count]
+    share = light[inside] / light[inside].sum()
+    return np.stack([y[inside], x[inside], share], axis=1)
+
+
+def light_at(pupil: Pupil, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Return the share of light that passes at points of the pupil of radius 1."""
+    light = is_open(pupil, y, x).astype(np.float64)
+    return light if pupil.mask is None else light * pupil.mask.light_at(y, x)
 
 
 def is_open(pupil: Pupil, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Return whether light passes at points of the pupil of radius 1."""
+    """Return whether points of radius 1 are inside the outline of a pupil."""
     square = y * y + x * x
     found = (square <= 1) & (square >= pupil.obscuration**2)
     for side in pupil.sides:
@@ -354,8 +368,8 @@ def pupil_cells(pupil: Pupil, radii: Iterable[float]) -> np.ndarray | None:
     fine = (2 * np.arange(FINE) + 1) / FINE - 1
     first = np.unique(np.searchsorted(fine, every[:-1]))
     first = first[first < FINE]
-    inside = is_open(pupil, fine[:, None], fine).astype(np.float64)
-    areas = np.add.reduceat(np.add.reduceat(inside, first, axis=0), first, axis=1)
+    light = light_at(pupil, *np.broadcast_arrays(fine[:, None], fine))
+    areas = np.add.reduceat(np.add.reduceat(light, first, axis=0), first, axis=1)
     middle = (fine[first] + fine[np.append(first[1:], FINE) - 1]) / 2
     y, x = np.nonzero(areas)
     if len(y) > MOST_CELLS:
@@ -377,10 +391,10 @@ def bent_cells(pupil: Pupil, radii: np.ndarray, bending: Bending) -> np.ndarray 
         for axis in (0, 1):
             seen = np.floor(radius * points[:, axis] + bent[:, axis] + 0.5).astype(np.int64)
             _, key = np.unique(key * (np.ptp(seen) + 1) + seen - seen.min(), return_inverse=True)
-    _, first, count = np.unique(key, return_index=True, return_counts=True)
+    _, first, part = np.unique(key, return_index=True, return_inverse=True)
     if len(first) > MOST_CELLS:
         return None
-    return np.column_stack([points[first, :2], count / MANY])
+    return np.column_stack([points[first, :2], np.bincount(part.ravel(), points[:, 2])])
 
 
 def find_occlusion(

@@ -3,12 +3,14 @@
 from functools import lru_cache
 
 import numpy as np
+from scipy.special import roots_legendre
 
 from gpusim.domain.errors import OutOfRange
 from gpusim.domain.psf import PointSpread
-from gpusim.domain.pupil import Pupil, light_moments
+from gpusim.domain.pupil import Pupil, chord, hole_chord, light_moments
 
 CELLS = 128  # along the pupil, for mean slopes of the wavefront
+SUBROWS = 6  # Gauss nodes of a row of cells
 
 
 def steepest_slope(wave) -> float:
@@ -67,18 +69,40 @@ def _mean_powers(pupil, count):
 
 @lru_cache(maxsize=32)
 def coverage(pupil, count):
-    """Open part of every cell of the pupil's grid, [y, x]: linear across the edge."""
-    u, step = (np.arange(count) + 0.5) / count * 2 - 1, 2 / count
-    y, x = u[:, None], u
-    radius = np.hypot(y, x)
-    inside = 1 - radius
-    for number, angle in enumerate(pupil.sides):
-        side = pupil.inner_radius - x * np.cos(angle) - y * np.sin(angle)
-        inside = np.minimum(inside, side) if number else side
-    open_ = np.clip(inside / step + 0.5, 0, 1)
-    if pupil.obscuration:
-        open_ = open_ * np.clip((radius - pupil.obscuration) / step + 0.5, 0, 1)
-    return open_
+    """Return the light that passes every cell of a grid over the pupil, [y, x]; the light of masks adds up."""
+    grid = np.linspace(-1, 1, count + 1)
+    if pupil.mask is None:
+        return open_parts(pupil, grid, grid)
+    # in pieces that no edge of the mask divides
+    pieces = [np.union1d(grid, edges) for edges in pupil.mask.pieces[:2]]
+    values = np.pad(np.square(np.abs(pupil.mask.pieces[2])), 1)
+    own = [
+        np.searchsorted(edges, (at[1:] + at[:-1]) / 2)
+        for edges, at in zip(pupil.mask.pieces[:2], pieces, strict=True)
+    ]
+    light = open_parts(pupil, *pieces) * values[np.ix_(*own)]
+    light *= np.outer(*map(np.diff, pieces))
+    for axis, at in enumerate(pieces):
+        light = np.add.reduceat(light, np.searchsorted(at, grid[:-1]), axis=axis)
+    return light * (count / 2) ** 2
+
+
+def open_parts(pupil: Pupil, edges_y, edges_x) -> np.ndarray:
+    """Return the part of each cell of a grid that is inside the outline of a pupil, (rows, cols)."""
+    ends = np.sin(pupil.corners) if pupil.sides.size else np.array([-1.0, 1.0])
+    bends = np.concatenate([edges_y, ends, [pupil.obscuration, -pupil.obscuration]])
+    bends = np.unique(np.clip(bends, edges_y[0], edges_y[-1]))
+    x, share = roots_legendre(SUBROWS)
+    low, high = bends[:-1, None], bends[1:, None]
+    v, mass = ((low + high + (high - low) * x) / 2).ravel(), ((high - low) * share / 2).ravel()
+    row = np.searchsorted(edges_y, (bends[:-1] + bends[1:]) / 2) - 1
+    first = np.searchsorted(row, np.arange(len(edges_y) - 1)) * SUBROWS
+    found = np.zeros((len(edges_y) - 1, len(edges_x) - 1))
+    for sign, of in ((1, chord), (-1, hole_chord)):
+        left, right = of(pupil, v)
+        cut = np.clip(edges_x, left[:, None], right[:, None])
+        found += sign * np.add.reduceat(mass[:, None] * np.diff(cut, axis=1), first, axis=0)
+    return found / np.outer(np.diff(edges_y), np.diff(edges_x))
 
 
 def psf_tables(

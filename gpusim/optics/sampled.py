@@ -24,7 +24,7 @@ import numpy as np
 import scipy.fft
 from scipy.special import roots_legendre
 
-from gpusim.domain.pupil import Pupil
+from gpusim.domain.pupil import Pupil, chord, hole_chord
 from gpusim.domain.stored import stored
 from gpusim.optics.amplitude import image_amplitude
 from gpusim.optics.blas import one_core
@@ -52,7 +52,7 @@ def _panels(pupil, cycles):
     places, masses = [], []
     for low, high in pairwise(np.unique(np.round(np.sin(pupil.corners), 12))):
         # how far the ends of rows move over the panel, along and across
-        edges = np.array(_chord(pupil, np.array([low, high])))
+        edges = np.array(chord(pupil, np.array([low, high])))
         moved = high - low + np.abs(np.diff(edges)).max()
         # none of the nodes in the middle
         x, gauss = _gauss(2 * (NODES + int(np.ceil(0.5 * PER_CYCLE * cycles * moved))))
@@ -86,26 +86,13 @@ def rows_of(pupil: Pupil, cycles: float, count: int, diagonal: float):
     """
     step, u = even_places(count)
     v, mass = _panels(pupil, cycles) if pupil.sides.size else _circle(1.0, diagonal)
-    left, right = _chord(pupil, v)
+    left, right = chord(pupil, v)
     weights = _between(left, right, u, step) * (mass * step)[:, None]
     if hole := pupil.obscuration:
         rows, mass = _circle(hole, diagonal)
-        reach = np.sqrt(np.maximum(hole**2 - rows * rows, 0))
-        less = _between(-reach, reach, u, step) * (mass * step)[:, None]
+        less = _between(*hole_chord(pupil, rows), u, step) * (mass * step)[:, None]
         v, weights = np.concatenate([v, rows]), np.concatenate([weights, -less])
     return v, weights.astype(np.float32)
-
-
-def _chord(pupil, v):
-    """First and last u of the pupil's rows."""
-    if not pupil.sides.size:
-        reach = np.sqrt(np.maximum(1 - v * v, 0))
-        return -reach, reach
-    nx, ny = np.cos(pupil.sides), np.sin(pupil.sides)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cut = (pupil.inner_radius - ny * v[:, None]) / nx
-    left = np.where(nx < -1e-12, cut, -np.inf).max(axis=1)
-    return left, np.where(nx > 1e-12, cut, np.inf).min(axis=1)
 
 
 def _between(left, right, u, step):
@@ -238,13 +225,13 @@ def pixel_shares(size, half, q, aperture, spot, soft, shift) -> np.ndarray:
         shift: Displacement of the image [pixel].
     """
     if not shift:  # pixels are mirror images
-        right = _shares_from_middle(np.arange(size // 2 + 1.0), half, q, aperture, spot, soft)
+        right = shares_at(np.arange(size // 2 + 1.0), half, q, aperture, spot, soft)
         return np.concatenate([right[:0:-1, ::-1], right])
-    return _shares_from_middle(np.arange(size) - size // 2.0 - shift, half, q, aperture, spot, soft)
+    return shares_at(np.arange(size) - size // 2.0 - shift, half, q, aperture, spot, soft)
 
 
-def _shares_from_middle(pixels, half, q, aperture, spot, soft):
-    """Shares of samples in pixels at these places, float32 (pixels, samples)."""
+def shares_at(pixels, half, q, aperture, spot, soft):
+    """Return shares of samples in pixels at these places, float32 (pixels, samples)."""
     farthest = int(np.ceil(np.abs(pixels).max()))
     f, by_cos, by_sin = _passed_waves(half, q, aperture, spot, soft, farthest)
     to = 2 * np.pi * np.outer(pixels, f)
@@ -263,24 +250,24 @@ def _passed_waves(half, q, aperture, spot, soft, farthest):
     count = 1.7 * (samples[-1] + farthest) / q + 16
     x, gauss = _gauss(64 * int(np.ceil(count / 64)))  # bands share nodes
     f, gauss = (x + 1) / (2 * q), gauss / (2 * q)
-    passed = (2 * gauss * _axis_transfer(f, aperture, spot, soft))[:, None]
+    passed = (2 * gauss * axis_transfer(f, aperture, spot, soft))[:, None]
     of = 2 * np.pi * np.outer(f, samples)
     return f, *((turn(of) * passed).astype(np.float32) for turn in (np.cos, np.sin))
 
 
-def _axis_transfer(f, aperture, spot, soft):
+def axis_transfer(f, aperture, spot, soft):
     """Transfer function of aperture, low-pass filter and diffuser along one axis at f [cycle/pixel]."""
     passed = np.sinc(aperture * f) * np.cos(2 * np.pi * spot * f)
     return passed * np.exp(-2 * (np.pi * soft * f) ** 2)
 
 
 @lru_cache(maxsize=128)
-def _all_shares(half, q, aperture, spot, soft, shift):
+def all_shares(half, q, aperture, spot, soft, shift):
     """Sum of `pixel_shares` over all pixels of an endless grid, (samples,): 1 if apertures tile or q >= 1."""
     samples = np.arange(-half, half + 1) * (2 * q * STEP)
     f = np.arange(1, int(np.ceil(1 / q)))
     waves = np.cos(2 * np.pi * np.multiply.outer(samples + shift, f))
-    return 1 + 2 * waves @ _axis_transfer(f, aperture, spot, soft)
+    return 1 + 2 * waves @ axis_transfer(f, aperture, spot, soft)
 
 
 def sampled_kernel(
@@ -299,12 +286,12 @@ def sampled_kernel(
         spots: Distances of a low-pass filter's spots from their middle, (rows, cols) [pixel].
         soft: Standard deviation of a diffuser [pixel].
     """
-    half = _half_of(size, q, shift)
+    half = half_of(size, q, shift)
     energy, axes = irradiance(pupil, wave, half), _axes(q, shift, aperture, spots, soft)
     down, across = (pixel_shares(size, half, *axis) for axis in axes)
     whole = 1.0
     if q < 1:  # apertures with gaps share all light
-        all_down, all_across = (_all_shares(half, *axis) for axis in axes)
+        all_down, all_across = (all_shares(half, *axis) for axis in axes)
         whole += all_down @ energy @ all_across - energy.sum(dtype=np.float64)
     return multiply(down, multiply(energy, across.T)) / whole
 
@@ -317,14 +304,14 @@ def sketched_kernel(
     Light more than NEAR beyond the rays is left out, and the rest is as much brighter. Arguments: see there.
     """
     near = int(np.ceil((fastest_turn(wave) + NEAR) / STEP))
-    half = min(_half_of(size, q, shift), near)
+    half = min(half_of(size, q, shift), near)
     energy, axes = irradiance(pupil, wave, half), _axes(q, shift, aperture, spots, soft)
     down, across = (pixel_shares(size, half, *axis) for axis in axes)
     kernel = multiply(down, multiply(energy, across.T))
     return kernel / kernel.sum()
 
 
-def _half_of(size, q, shift) -> int:
+def half_of(size, q, shift) -> int:
     """Return `half` of the irradiance that a kernel's pixels share."""
     reach = size / 2 + max(map(abs, shift)) + MARGIN
     return int(np.ceil(reach / (2 * q * STEP))) + MORE
@@ -353,13 +340,13 @@ def moment_of_pixels(
         return np.asarray(centroid)
     reach = 2 * q * steepest_slope(wave) + max(spots) + 3 * soft + NEAR_PIXELS
     half = int(np.ceil(reach / (2 * q * STEP)))
-    wide = max(half, _half_of(size, q, shift))
+    wide = max(half, half_of(size, q, shift))
     part = slice(wide - half, wide + half + 1)
     energy = irradiance(pupil, wave, wide)[part, part].astype(np.float64)
     place = np.arange(-half, half + 1) * (2 * q * STEP)
     axes = _axes(q, shift, aperture, spots, soft)
     (all_down, more_down), (all_across, more_across) = (
-        (_all_shares(half, *axis), _all_moments(half, *axis)) for axis in axes
+        (all_shares(half, *axis), all_moments(half, *axis)) for axis in axes
     )
     uneven = (all_down[:, None] * all_across - 1) * energy
     down = uneven.sum(axis=1) @ (place + shift[0]) + more_down @ energy @ all_across
@@ -368,11 +355,11 @@ def moment_of_pixels(
 
 
 @lru_cache(maxsize=128)
-def _all_moments(half, q, aperture, spot, soft, shift):
+def all_moments(half, q, aperture, spot, soft, shift):
     """Sum of `pixel_shares` times the pixels' distances from a sample, over an endless grid, (samples,) [pixel]."""
     samples = np.arange(-half, half + 1) * (2 * q * STEP)
     f, step = np.arange(1, int(np.ceil(1 / q))), 1e-4
-    ends = [_axis_transfer(f + side * step, aperture, spot, soft) for side in (1, -1)]
+    ends = [axis_transfer(f + side * step, aperture, spot, soft) for side in (1, -1)]
     return np.sin(2 * np.pi * np.multiply.outer(samples + shift, f)) @ (
         (ends[0] - ends[1]) / (2 * np.pi * step)
     )
@@ -409,7 +396,7 @@ def window(pupil: Pupil, waves) -> tuple[int, float]:
         farthest *= 1.1
 
 
-def _fading(half):
+def fade(half):
     """Weight of the samples of a window: 1 up to FLAT of its radius, 0 from the radius on."""
     at = np.arange(-half, half + 1) / half
     radius = np.clip((np.hypot(at[:, None], at) - FLAT) / (1 - FLAT), 0, 1)
@@ -428,8 +415,8 @@ def difference_kernels(pupil: Pupil, waves, q, aperture, spots, soft, shift) -> 
     Arguments as of `difference_tables`.
     """
     half, _ = window(pupil, waves)
-    sizes = _sizes_of(q, half)
-    focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
+    sizes = [size_of(one, half) for one in q]
+    focus, fading = irradiance(pupil, np.zeros((1, 1)), half), fade(half)
     out = np.zeros((len(waves), max(sizes), max(sizes)), np.float32)
 
     def make(band):
@@ -445,9 +432,9 @@ def difference_kernels(pupil: Pupil, waves, q, aperture, spots, soft, shift) -> 
     return out
 
 
-def _sizes_of(q, half):
-    """Sides of the kernels that hold a window of the irradiance [pixel]."""
-    return [2 * int(np.ceil(2 * one * STEP * half + MARGIN)) + 1 for one in q]
+def size_of(q, half, shift=0.0) -> int:
+    """Return the side of a kernel that holds a window of the irradiance [pixel]."""
+    return 2 * int(np.ceil(2 * q * STEP * half + abs(shift) + MARGIN)) + 1
 
 
 stored_difference_kernels = stored(difference_kernels)
@@ -471,8 +458,8 @@ def difference_tables(
         shift: Displacement of the image, (rows, cols) [pixel].
     """
     half, _ = window(pupil, waves)
-    sizes = _sizes_of(q, half)
-    focus, fading = irradiance(pupil, np.zeros((1, 1)), half), _fading(half)
+    sizes = [size_of(one, half) for one in q]
+    focus, fading = irradiance(pupil, np.zeros((1, 1)), half), fade(half)
     out = np.empty((len(waves), rows, cols // 2 + 1), np.complex64)
 
     def make(band):
@@ -480,19 +467,19 @@ def difference_tables(
         first, second = _axes(q[band], shift, aperture, spots, soft)
         size = sizes[band]
         if 2 * max(rows, cols) < size:  # so few frequencies cost less than as many pixels
-            down = _fold(np.fft.fftfreq(rows), half, *first)
-            across = _fold(np.arange(cols // 2 + 1) / cols, half, *second)
+            down = fold_shares(np.fft.fftfreq(rows), half, *first)
+            across = fold_shares(np.arange(cols // 2 + 1) / cols, half, *second)
             out[band] = multiply(multiply(down, left), across.T)
         else:
             down, across = (pixel_shares(size, half, *axis) for axis in (first, second))
-            out[band] = _wrap(multiply(down, multiply(left, across.T)), rows, cols)
+            out[band] = wrap_kernel(multiply(down, multiply(left, across.T)), rows, cols)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
     return out
 
 
-def _fold(f, half, q, aperture, spot, soft, shift):
+def fold_shares(f, half, q, aperture, spot, soft, shift):
     """Transform of `pixel_shares`, of all pixels of an endless grid, at f [cycle/pixel], complex64 (f, samples)."""
     samples = np.arange(-half, half + 1) * (2 * q * STEP) + shift
     total = np.zeros((len(f), len(samples)), complex)
@@ -500,12 +487,12 @@ def _fold(f, half, q, aperture, spot, soft, shift):
     for whole in range(-reach, reach + 1):
         inside = np.flatnonzero(np.abs(f + whole) * q < 1)
         one = f[inside] + whole
-        passed = _axis_transfer(one, aperture, spot, soft)
+        passed = axis_transfer(one, aperture, spot, soft)
         total[inside] += passed[:, None] * np.exp(-2j * np.pi * np.outer(one, samples))
     return total.astype(np.complex64)
 
 
-def _wrap(kernel, rows, cols):
+def wrap_kernel(kernel, rows, cols):
     """Half spectrum of a kernel that a period repeats, its middle at sample 0."""
     at = np.arange(len(kernel)) - len(kernel) // 2
     y, x = at[:, None] % rows, at % cols
@@ -528,7 +515,7 @@ def sampled_transfer(pupil: Pupil, wave, sx, sy) -> np.ndarray:
     wave = np.asarray(wave, np.float64)
     half, _ = window(pupil, wave[None])
     focus = irradiance(pupil, np.zeros((1, 1)), half)
-    left = _difference(pupil, wave, half, focus, _fading(half))
+    left = _difference(pupil, wave, half, focus, fade(half))
     found = transfer(pupil, np.zeros((1, 1, 1)), sx, sy, error=FAST, fast=True)[0]
     at = np.arange(-half, half + 1) * (-4j * np.pi * STEP)
     inside = np.flatnonzero(np.hypot(sx, sy) < 1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import gpusim as gs
+from gpusim.domain.mask import pupil_cells
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil
@@ -18,12 +19,13 @@ ASKING = {
     "gpusim/domain/optics.py",  # checks the settings
     "gpusim/domain/pupil.py",  # the geometry of pupils
     "gpusim/optics/lens.py",  # the classes
+    "gpusim/optics/masked_lens.py",
     "gpusim/judge/truth_depth.py",  # the truth asks for itself
     "gpusim/judge/truth_lens.py",
     "gpusim/judge/truth_pupil.py",
 }
 SETTINGS = {"varies", "is_ideal", "is_symmetric", "has_mirror", "blades"}
-CLASSES = {"PupilLens", "MeasuredLens", "PointLens"}
+CLASSES = {"PupilLens", "MaskedLens", "MeasuredLens", "PointLens"}
 
 
 def asks(node):
@@ -50,6 +52,7 @@ LENSES = {
     "clear": OPTICS,
     "hexagon": replace(OPTICS, pupil=Pupil(6)),
     "out of focus": replace(OPTICS, defocus=8e-6),
+    "mask": replace(OPTICS, defocus=8e-6, pupil=Pupil(mask=pupil_cells((1, 2))[0][1])),
     "measured": replace(OPTICS, model="measured", psf=SPREAD),
     "no blur": replace(OPTICS, model="none"),
 }

@@ -304,6 +304,7 @@ def can_be_split(question: Question) -> bool:
     lens = question.lens
     if (
         lens.is_pointlike
+        or not lens.has_point_kernels
         or question.period
         or (question.facts.depth is not None and (lens.tail is None or question.scene.layers))
         or question.optics.diffuser
