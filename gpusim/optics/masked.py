@@ -8,10 +8,13 @@ difference of both irradiances, in a window.
 
 import os
 from concurrent.futures import ThreadPoolExecutor
+from functools import lru_cache
 
 import numpy as np
 import scipy.fft
+from numpy.polynomial.polynomial import polygrid2d
 from scipy.sparse import csr_array
+from scipy.special import roots_legendre
 
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.stored import stored
@@ -37,7 +40,13 @@ from gpusim.optics.sampled import (
     size_of,
     wrap_kernel,
 )
+from gpusim.optics.series import scales
 
+LINES, LINE = 5, 24  # of a wavefront along each direction, and Gauss nodes of a line
+WIDEST = 256  # samples of a window on each side of the middle
+BETWEEN = 1e-6  # error between wavefronts that are scaled
+PER_TURN = 64  # steps of the grid for a wave per half side, but not more than
+MOST_STEPS = 1024
 CUT = 512  # steps along the opening if the outline cuts cells: the autocorrelation errs by 4e-4 next to frequency 0
 LEVELS = (
     128  # steps of the grid of frequencies, up to the cut-off; of polygons, which have ridges, all
@@ -172,7 +181,7 @@ def masked_transfer(pupil: Pupil, wave, sx, sy) -> np.ndarray:
     found[inside] = (1 - v) * ((1 - u) * values[i, j] + u * values[i, j + 1])
     found[inside] += v * ((1 - u) * values[i + 1, j] + u * values[i + 1, j + 1])
     if own.wave.any():
-        left = _difference(own)
+        left = _difference(pupil, own.wave, window_of(pupil, own.wave)[0])
         at = np.arange(len(left)) - len(left) // 2
         for piece in np.array_split(np.arange(len(inside)), -(-len(inside) // PIECE) or 1):
             down, across = (
@@ -197,23 +206,82 @@ def masked_tables(pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shi
     Arguments as of `gpusim.optics.sampled.difference_tables`.
     """
     out = np.zeros((len(waves), rows, cols // 2 + 1), np.complex64)
-    focus = focus_transfer(pupil)
+    focus, frequencies = focus_transfer(pupil), _frequencies(rows, cols)
+    scaled = [Scaled(pupil, wave, one, shift) for wave, one in zip(waves, q, strict=True)]
+    changes = _Changes(pupil, np.stack([own.wave for own in scaled]))
 
     def make(band):
-        own = Scaled(pupil, waves[band], q[band], shift)
-        axes = own.axes(aperture, spots, soft)
+        axes = scaled[band].axes(aperture, spots, soft)
         down, across = (
             _between(f, nodes, *axis)
-            for f, nodes, axis in zip(_frequencies(rows, cols), focus[:2], axes, strict=True)
+            for f, nodes, axis in zip(frequencies, focus[:2], axes, strict=True)
         )
-        lines = np.ascontiguousarray((across @ focus[2].T).T)
-        out[band] = down @ lines
-        if own.wave.any():
-            out[band] += _difference_table(own, rows, cols, axes)
+        out[band] = down @ np.ascontiguousarray((across @ focus[2].T).T)
+        changes.add(out[band], band, axes, frequencies, cols)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
     return out
+
+
+class _Changes:
+    """What wavefronts change in transfer tables; bands mostly have one wavefront, scaled.
+
+    In a window of the image; if that would be larger than WIDEST, as autocorrelations on the grid of `_grid`.
+    """
+
+    def __init__(self, pupil, waves):
+        self.pupil, self.waves, self.half = pupil, waves, 0
+        self.is_none = not waves.any()
+        if self.is_none:
+            return
+        self.turn = max(map(Opening.of(pupil).steepest, waves))
+        _, nodes, self.to_bands = scales(waves, BETWEEN)
+        half = max(window_of(pupil, wave)[0] for wave in nodes)
+        if half <= WIDEST:
+            self.half = half
+            with ThreadPoolExecutor(os.cpu_count()) as pool:
+                made = pool.map(lambda wave: _difference(pupil, wave, half), nodes)
+                self.parts = np.stack(list(made))
+
+    def _on_grid(self, wave):
+        """Differences of the autocorrelation at all steps, complex64 (2 n + 1, 2 m + 1)."""
+        least = min(max(CUT, int(PER_TURN * self.turn)), MOST_STEPS) + 1
+        values, _ = _grid(self.pupil, least)
+        v, u = (2 * (np.arange(count) + 0.5) / count - 1 for count in values.shape)
+        turned = values * np.exp(2j * np.pi * polygrid2d(u, v, wave).T)
+        found = _autocorrelation(self.pupil, turned) - _autocorrelation(self.pupil, values)
+        counts = zip(values.shape, found.shape, strict=True)
+        steps = [np.arange(-count, count + 1) % length for count, length in counts]
+        return found[np.ix_(*steps)].astype(np.complex64)
+
+    def add(self, table, band, axes, frequencies, cols):
+        """Add the change of a band to its table (rows, cols // 2 + 1)."""
+        if self.is_none:
+            return
+        if not self.half:
+            left = self._on_grid(self.waves[band])
+            down, across = (
+                _between(f, np.linspace(-1, 1, count), *axis, is_cubic=True)
+                for f, count, axis in zip(frequencies, left.shape, axes, strict=True)
+            )
+            table += down @ np.ascontiguousarray((across @ left.T).T)
+            return
+        left = np.tensordot(self.to_bands[band].astype(np.float32), self.parts, 1)
+        size = max(size_of(axis[0], self.half, axis[-1]) for axis in axes)
+        passed = sum(
+            min(2 / axis[0], 1) * len(f) for axis, f in zip(axes, frequencies, strict=True)
+        )
+        if size > passed / 2:  # so few frequencies cost less than as many pixels
+            down, across = (
+                fold_shares(f, self.half, *axis) for f, axis in zip(frequencies, axes, strict=True)
+            )
+            some = np.flatnonzero(down.any(axis=1)), np.flatnonzero(across.any(axis=1))
+            table[np.ix_(*some)] += multiply(multiply(down[some[0]], left), across[some[1]].T)
+            return
+        down, across = (pixel_shares(size, self.half, *axis) for axis in axes)
+        kernel = multiply(down, multiply(left, across.T))
+        table += wrap_kernel(kernel, len(table), cols)
 
 
 def _frequencies(rows, cols):
@@ -221,48 +289,45 @@ def _frequencies(rows, cols):
     return np.fft.fftfreq(rows), np.arange(cols // 2 + 1) / cols
 
 
-def _between(f, nodes, q, aperture, spot, soft, shift):
-    """Return the matrix from values at `nodes` of s = f q to those at frequencies f, times the pixel's transfer."""
+def _between(f, nodes, q, aperture, spot, soft, shift, is_cubic=False):
+    """Return the matrix from values at `nodes` of s = f q to those at frequencies f, times the pixel's transfer.
+
+    Linear, or cubic through even nodes.
+    """
     row, column, value = [], [], []
     reach = int(np.ceil(1 / q + 0.5))
     for whole in range(-reach, reach + 1):
         inside = np.flatnonzero(np.abs(f + whole) * q < 1)
         one = f[inside] + whole
         passed = axis_transfer(one, aperture, spot, soft) * np.exp(-2j * np.pi * one * shift)
-        first, part = _cell_of(nodes, one * q)
-        row += [inside, inside]
-        column += [first, first + 1]
-        value += [passed * (1 - part), passed * part]
-    entries = (np.concatenate(part) for part in (row, column))
-    matrix = (np.concatenate(value).astype(np.complex64), tuple(entries))
+        first, t = _cell_of(nodes, one * q)
+        weights = {0: 1 - t, 1: t}
+        if is_cubic:
+            weights = {
+                -1: -t * (t - 1) * (t - 2) / 6,
+                0: (t + 1) * (t - 1) * (t - 2) / 2,
+                1: -(t + 1) * t * (t - 2) / 2,
+                2: (t + 1) * t * (t - 1) / 6,
+            }
+        for offset, weight in weights.items():
+            at = first + offset
+            known = (at >= 0) & (at < len(nodes))
+            row.append(inside[known])
+            column.append(at[known])
+            value.append((passed * weight)[known])
+    entries = tuple(np.concatenate(part) for part in (row, column))
+    matrix = (np.concatenate(value).astype(np.complex64), entries)
     return csr_array(matrix, shape=(len(f), len(nodes)))
 
 
-def _difference_table(own, rows, cols, axes):
-    """Transfer table of the wavefront less that in focus, in a window."""
-    left = _difference(own)
-    half = len(left) // 2
-    size = max(size_of(one, half, move) for one, move in zip(own.q, own.shift, strict=True))
-    passed = [min(2 / one, 1) * count for one, count in zip(own.q, (rows, cols / 2), strict=True)]
-    if size > sum(passed) / 2:  # so few frequencies cost less than as many pixels
-        down, across = (
-            fold_shares(f, half, *axis)
-            for f, axis in zip(_frequencies(rows, cols), axes, strict=True)
-        )
-        some = np.flatnonzero(down.any(axis=1)), np.flatnonzero(across.any(axis=1))
-        found = np.zeros((rows, cols // 2 + 1), np.complex64)
-        found[np.ix_(*some)] = multiply(multiply(down[some[0]], left), across[some[1]].T)
-        return found
-    down, across = (pixel_shares(size, half, *axis) for axis in axes)
-    return wrap_kernel(multiply(down, multiply(left, across.T)), rows, cols)
-
-
-def _difference(own):
-    """Irradiance with the wavefront less that in focus, which fades out and has the sum 0, (samples, samples)."""
-    half, _ = window_of(own)
-    flat = opening_amplitude(own.pupil, own.opening, np.zeros((1, 1)), 0.0, (half, half))
+def _difference(pupil, wave, half):
+    """Irradiance with a wavefront less that in focus, which fades out and has the sum 0, (samples, samples)."""
+    opening, halves = Opening.of(pupil), (half, half)
+    turn = opening.steepest(wave)
+    flat = opening_amplitude(pupil, opening, np.zeros((1, 1)), 0.0, halves)
+    own = opening_amplitude(pupil, opening, wave, turn, halves)
     weight = fade(half)
-    left = (own.irradiance((half, half)) - _squared(flat)) * weight
+    left = (_squared(own) - _squared(flat)) * weight
     return left - weight * np.float32(left.sum(dtype=np.float64) / weight.sum(dtype=np.float64))
 
 
@@ -273,25 +338,51 @@ def focus_error(pupil: Pupil) -> float:
     return RIDGES if pupil.sides.size else ROUND
 
 
-def window_of(own: Scaled) -> tuple[int, float]:
+def window_of(pupil: Pupil, wave: np.ndarray) -> tuple[int, float]:
     """Return `half` of the irradiance that holds what a wavefront changes, and the error of transfer tables.
 
     As `gpusim.optics.sampled.window`: beyond a radius X there is the share pi t / X of the light, t the strength of the
-    edges. Straight edges throw it along few lines. A wavefront that moves rays by b < 1 changes the phases of its
-    transform by less than 4 pi b.
+    edges. Straight edges throw it along few lines, whose profiles have transfer functions of their own. A wavefront
+    changes the mean of these (`_change_of_lines`).
+
+    wave: in the scale of the opening, see `gpusim.optics.opening.Opening.scaled` [waves].
     """
-    half, slope = own.opening.half, own.turn
-    strength = np.pi * edge_strength(own.pupil, half)
-    share = max(edges_of(own.pupil).shares(half).values(), default=0.0)
-    phase = min(4 * np.pi * slope, 1.0)
+    return _window(pupil, np.round(wave, 9).tobytes(), wave.shape)
+
+
+@lru_cache(maxsize=1024)
+def _window(pupil, values, shape):
+    wave, opening = np.frombuffer(values).reshape(shape), Opening.of(pupil)
+    slope, strength = opening.steepest(wave), np.pi * edge_strength(pupil, opening.half)
+    shares = edges_of(pupil).shares(opening.half)
+    straight = max(shares.values(), default=0.0) * _change_of_lines(wave)
+    rest = 0.6 * max(1 - sum(shares.values()), 0.0)
     farthest = 1.1 * slope / FLAT + NEAR
     while True:
         radius = FLAT * farthest
         moved = min(3 * (slope / radius) ** 2, 1.0)
-        error = float(strength / radius * max(share, 0.6 * moved) * phase)
+        error = float(1.5 * strength / radius * max(straight, rest * moved))
         if error <= ERROR:
             return int(np.ceil(farthest / STEP)), error
         farthest *= 1.1
+
+
+def _change_of_lines(wave):
+    """Return the most that a wavefront changes the mean transfer function of parallel lines of the opening, 0 .. 1."""
+    u, share = roots_legendre(LINE)
+    at = np.linspace(-1, 1, LINES)
+    s = (np.arange(LINE // 2) + 0.5) / (LINE // 2)
+    # the overlap of a line with itself, at l - s and l + s
+    long = (1 - s)[:, None] * u
+    most = 0.0
+    for turned in (wave, wave.T):
+        change = [
+            polygrid2d(at, (long + side * s[:, None]).ravel(), turned).reshape(LINES, *long.shape)
+            for side in (1, -1)
+        ]
+        mean = (np.exp(2j * np.pi * (change[0] - change[1])) @ (share / 2)).mean(axis=0)
+        most = max(most, float((np.abs(mean - 1) * (1 - s)).max()))
+    return min(most, 1.0)
 
 
 @remember(2**27)
@@ -301,23 +392,26 @@ def focus_transfer(pupil: Pupil) -> tuple[np.ndarray, ...]:
     Returns:
         Places down and across, ascending from -1 to 1, and the values between which it is bilinear.
     """
-    values, cells = _grid(pupil)
+    values, cells = _grid(pupil, CUT)
     counts = values.shape
-    lengths = [scipy.fft.next_fast_len(2 * count) for count in counts]
-    spectrum = scipy.fft.fft2(values, lengths)
-    power = np.square(spectrum.real) + np.square(spectrum.imag)
-    found = scipy.fft.ifft2(power)
+    found = _autocorrelation(pupil, values)
     levels = CUT if pupil.sides.size else LEVELS
     steps = [_kept(count, own, levels) for count, own in zip(counts, cells, strict=True)]
-    found = found[np.ix_(*(step % length for step, length in zip(steps, lengths, strict=True)))]
-    opening = Opening.of(pupil).half
-    area = np.pi * pupil.area / (opening[0] * opening[1])
-    found *= 4 / (counts[0] * counts[1]) / area
-    for axis, count in enumerate(counts):  # nothing beyond the cut-off
-        found = np.where(np.expand_dims(np.abs(steps[axis]) == count, 1 - axis), 0, found)
+    found = found[np.ix_(*(step % length for step, length in zip(steps, found.shape, strict=True)))]
     found[np.ix_(steps[0] == 0, steps[1] == 0)] = 1
     down, across = (step / count for step, count in zip(steps, counts, strict=True))
     return down, across, found.astype(np.complex64)
+
+
+def _autocorrelation(pupil, values):
+    """Autocorrelation of amplitudes on a grid over the opening, over the open area, by steps in a period.
+
+    There are at least 2 n + 1 steps, so that it is 0 n steps from the middle.
+    """
+    spectrum = scipy.fft.fft2(values, [scipy.fft.next_fast_len(2 * n + 1) for n in values.shape])
+    found = scipy.fft.ifft2(np.square(spectrum.real) + np.square(spectrum.imag))
+    opening = Opening.of(pupil).half
+    return found * (4 * opening[0] * opening[1] / values.size / (np.pi * pupil.area))
 
 
 def _kept(count, cells, levels):
@@ -330,16 +424,19 @@ def _kept(count, cells, levels):
     return np.concatenate([-kept[:0:-1], kept])
 
 
-def _grid(pupil):
-    """Amplitudes of the steps of a grid over the opening, and the number of cells along both axes."""
+def _grid(pupil, least):
+    """Amplitudes of the steps of a grid over the opening, and the number of cells along both axes.
+
+    least: Steps along an axis, if the outline cuts cells or there is a wavefront.
+    """
     assert pupil.mask is not None
     edges_y, edges_x, values = pupil.mask.pieces
     cells = [
         int(np.rint((edges[-1] - edges[0]) / 2 * count))
         for edges, count in zip((edges_y, edges_x), pupil.mask.values.shape, strict=True)
     ]
-    is_whole = not _is_cut(pupil)
-    counts = [one * (1 if is_whole else -(-CUT // one)) for one in cells]
+    is_cut = _is_cut(pupil)
+    counts = [one * (-(-least // one) if is_cut or least > CUT else 1) for one in cells]
     at_y, at_x = (
         np.linspace(edges[0], edges[-1], count + 1)
         for edges, count in zip((edges_y, edges_x), counts, strict=True)
@@ -349,7 +446,7 @@ def _grid(pupil):
         for edges, at in ((edges_y, at_y), (edges_x, at_x))
     ]
     found = values[np.ix_(*own)]
-    return found if is_whole else found * open_parts(pupil, at_y, at_x), cells
+    return found if not is_cut else found * open_parts(pupil, at_y, at_x), cells
 
 
 def _is_cut(pupil):

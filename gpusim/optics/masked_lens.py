@@ -10,7 +10,6 @@ from gpusim.optics.geometric import coarse_kernel, cusp
 from gpusim.optics.lens import PupilLens, Symmetry, Tail, checked_frequencies, polar
 from gpusim.optics.mask_edges import edge_strength, edges_of, mean_turn
 from gpusim.optics.masked import (
-    Scaled,
     focus_error,
     masked_energies,
     masked_kernel,
@@ -90,8 +89,10 @@ class MaskedLens(PupilLens):
         waves = self.waves(wavelengths, distance=distance)
         if self._by_rays(waves):
             return min(cusp(pupil) * min(float(q.max()) / np.sqrt(2), 1.0), 1.0)
-        own = [Scaled(pupil, wave, one, (0, 0)) for wave, one in zip(waves, q, strict=True)]
-        return focus_error(pupil) + max(window_of(one)[1] for one in own)
+        scaled = [Opening.of(pupil).scaled(wave)[0] for wave in waves]
+        return focus_error(pupil) + max(
+            (window_of(pupil, one)[1] for one in scaled if one.any()), default=0.0
+        )
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`."""
