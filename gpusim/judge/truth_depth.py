@@ -31,12 +31,14 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.judge.truth_blur import blurred_planes
 from gpusim.judge.truth_field import varying_rates
 from gpusim.judge.truth_light import MODES, pixel_places, placed_light, placed_nearest
+from gpusim.judge.truth_mask import is_inside, light_of_mask
 
 JUMP = 0.5  # [sample] of the circle of confusion between neighbours: an edge that hides
 STEP, MOST = 0.15, 64  # [wave] of defocus between distances, and their number
 FEW = 4  # as many distances are taken as they are
 DEGREE = 5
 POINTS = 256  # of the pupil
+MANY = 16  # times as many, of which those of a mask are chosen
 FAR = 64  # [sample] around images that diffraction blurs
 RIM = 32  # [sample] around a scene of several distances
 TINY = 1e-4  # [radius of the pupil] of differences along it
@@ -408,7 +410,7 @@ def _blur_in_focus(planes, camera, scene, rim, wavelength):
 
 
 def pupil_points(optics: Optics) -> np.ndarray:
-    """Return points (x, y) of a pupil, even in its area, in radii: (2, POINTS or more).
+    """Return points (x, y) of a pupil, as dense as its light, in radii: (2, POINTS or more).
 
     Source:
         Vogel's spiral, Mathematical Biosciences 44 (1979) 179.
@@ -417,14 +419,14 @@ def pupil_points(optics: Optics) -> np.ndarray:
     while True:
         number = np.arange(count) + 0.5
         radius, angle = np.sqrt(number / count), np.pi * (3 - np.sqrt(5)) * number
-        inside = radius > pupil.obscuration
-        if pupil.blades:
-            sector = 2 * np.pi / pupil.blades
-            turned = (angle - pupil.rotation) % sector - sector / 2
-            inside &= radius * np.cos(turned) < np.cos(sector / 2)
-        if inside.sum() >= POINTS:
-            return np.stack([radius * np.cos(angle), radius * np.sin(angle)])[:, inside]
-        count += POINTS // 4
+        places = np.stack([radius * np.cos(angle), radius * np.sin(angle)])
+        light = is_inside(pupil, *places) * light_of_mask(pupil, *places)
+        if pupil.mask is None and light.sum() >= POINTS:
+            return places[:, light > 0]
+        if light.sum() >= MANY * POINTS:  # as dense as the light
+            wanted = (np.arange(POINTS) + 0.5) / POINTS * light.sum()
+            return places[:, np.searchsorted(np.cumsum(light), wanted)]
+        count += POINTS // 4 if pupil.mask is None else count
 
 
 def ray_places(optics: Optics, wavelength: float, pitch: float, points) -> np.ndarray:

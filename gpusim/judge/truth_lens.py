@@ -15,6 +15,7 @@ import scipy
 from gpusim.domain.errors import DoesNotFit, OutOfRange
 from gpusim.domain.optics import Optics
 from gpusim.judge.truth_light import axis_of, pixel_places
+from gpusim.judge.truth_mask import transfer_of_mask
 from gpusim.judge.truth_pupil import PupilKernels
 from gpusim.optics import tables
 from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
@@ -40,8 +41,6 @@ def require_truth(camera, scene):
     """
     optics = camera.optics
     has_psf = optics.psf is not None
-    if optics.pupil.mask is not None:
-        raise OutOfRange("verify", "a mask in the pupil", "a pupil without a mask")
     samples = f"{scene.samples_per_pixel:g} samples per pixel"
     if not float(scene.samples_per_pixel).is_integer() and optics.varies:
         what = f"{samples} with a blur that varies over the field"
@@ -76,6 +75,8 @@ def transfer_of(optics: Optics, wavelength, pitch):
     waves = optics.waves(np.array([wavelength]))
     if optics.is_ideal:
         own = lambda sx, sy: tables.otf(np.hypot(sx, sy))  # noqa: E731
+    elif optics.pupil.mask is not None:
+        own = transfer_of_mask(optics.pupil, waves[0])
     else:
         own = tables.exact_otf(optics.pupil, waves)
     spots, diffuser = [length / pitch for length in optics.birefringence], optics.diffuser / pitch

@@ -1,13 +1,13 @@
 """Kernels of a pupil for the truth, float64: sums over its chords, shared with no frame.
 
 A chord is a line of the pupil at a height v. Chords change smoothly between the corners of the
-outline and the ends of the obstruction, but for square roots at the ends of an interval, which
-v = middle + half sin(t) removes. The field is Gauss's sum over chords and along each of them. The
-irradiance is sampled as finely as its band limit asks for, and integrated over the pixels by the
-transform of a box.
+outline, the ends of the obstruction and the edges of a mask's cells, but for square roots at the
+ends of an interval, which v = middle + half sin(t) removes. The field is Gauss's sum over chords
+and along each of them. The irradiance is sampled as finely as its band limit asks for, and
+integrated over the pixels by the transform of a box.
 """
 
-from itertools import pairwise
+from itertools import pairwise, product
 from math import ceil
 
 import numpy as np
@@ -112,7 +112,9 @@ def _chords(pupil, cycles):
     corners = np.stack([np.sin(turn), np.cos(turn)], axis=1)
     ends = {-1.0, 1.0} if not pupil.blades else set(corners[:, 0].round(12).tolist())
     hole = pupil.obscuration
-    ends = sorted(ends | ({-hole, hole} if hole else set()))
+    ends |= {-hole, hole} if hole else set()
+    rows, cols, values = _cells(pupil)
+    ends = sorted(_with_cells(ends, corners, hole, rows, cols))
     t, share = np.polynomial.legendre.leggauss(ceil(1.1 * np.pi * cycles) + MORE)
     found = []
     for low, high in pairwise(ends):
@@ -127,11 +129,42 @@ def _chords(pupil, cycles):
         if hole and abs(low + high) / 2 < hole:
             inner = np.sqrt(np.maximum(hole**2 - v * v, 0))
             parts = [(left, -inner), (inner, right)]
-        for first, last in parts:
-            middle, long = (first + last) / 2, (last - first) / 2
-            found.append((v, weight, middle[:, None] + long[:, None] * t, long[:, None] * share))
-    v, mass, u, along = (np.concatenate(part) for part in zip(*found, strict=True))
-    return v, mass, u, along, float(mass @ along.sum(axis=1))
+        own = values[np.searchsorted(rows, (low + high) / 2) - 1]
+        for (first, last), (left, right, amplitude) in product(
+            parts, zip(cols, cols[1:], own, strict=False)
+        ):
+            start, end = np.maximum(first, left), np.minimum(last, right)
+            if not amplitude or (end - start).max() < 1e-9:
+                continue
+            middle, long = (start + end) / 2, np.maximum(end - start, 0) / 2
+            nodes = middle[:, None] + long[:, None] * t
+            light = weight @ long * 2 * abs(amplitude) ** 2
+            found.append((v, weight, nodes, amplitude * long[:, None] * share, light))
+    *every, light = zip(*found, strict=True)
+    return *(np.concatenate(part) for part in every), float(np.sum(light))
+
+
+def _cells(pupil):
+    """Return edges of a mask's rows and columns, and its amplitudes."""
+    if pupil.mask is None:
+        return [-1.0, 1.0], [-1.0, 1.0], np.ones((1, 1))
+    values = pupil.mask.values
+    rows, cols = ([2 * k / n - 1 for k in range(n + 1)] for n in values.shape)
+    return rows, cols, values
+
+
+def _with_cells(ends, corners, hole, rows, cols):
+    """Return the heights between which chords change smoothly, also those at which cells begin and are cut."""
+    found, inner = set(ends), (min(ends), max(ends))
+    for x in cols[1:-1]:
+        for radius in (1.0, hole):
+            if abs(x) < radius and not (len(corners) and radius == 1.0):
+                found |= {(radius**2 - x * x) ** 0.5, -((radius**2 - x * x) ** 0.5)}
+        for (y0, x0), (y1, x1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+            if min(x0, x1) < x < max(x0, x1):
+                found.add(float(y0 + (y1 - y0) * (x - x0) / (x1 - x0)))
+    found |= set(rows[1:-1])
+    return {round(y, 12) for y in found if inner[0] <= y <= inner[1]}
 
 
 def _outline(corners, v, middle):
