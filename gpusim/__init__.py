@@ -29,6 +29,9 @@ _NAMES = {
     "captures.moving": ("expose_moving", "expose_motion"),
     "captures.parallax": ("move_camera",),
     "captures.pinholes": ("light_field",),
+    "captures.refocus": ("focus_stack", "refocus"),
+    "captures.slices": ("refocus_by_slices",),
+    "captures.view_depth": ("ViewDepth", "all_in_focus", "depth_from_views"),
     "captures.reads": ("Reads", "read_nondestructively"),
     "data.charts": ("chart",),
     "data.displays": ("open_display", "display_names", "display_picture"),
@@ -53,6 +56,7 @@ _NAMES = {
     "domain.scene": ("Scene", "Layer", "View"),
     "domain.sensor": ("Sensor",),
     "domain.spectrum": ("Spectrum",),
+    "domain.view_images": ("ViewImages",),
     "io.camera.calibration": ("read_calibration",),
     "io.camera.cameras": ("open_camera", "camera_names"),
     "io.camera.emva1288": ("sensor_from_emva1288",),
@@ -94,6 +98,10 @@ if TYPE_CHECKING:
     from gpusim.captures.moving import expose_moving as expose_moving
     from gpusim.captures.parallax import move_camera as move_camera
     from gpusim.captures.pinholes import light_field as light_field
+    from gpusim.captures.refocus import focus_stack as focus_stack, refocus as refocus
+    from gpusim.captures.slices import refocus_by_slices as refocus_by_slices
+    from gpusim.captures.view_depth import ViewDepth as ViewDepth, all_in_focus as all_in_focus
+    from gpusim.captures.view_depth import depth_from_views as depth_from_views
     from gpusim.captures.reads import Reads as Reads
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
     from gpusim.io.camera.calibration import read_calibration as read_calibration
@@ -129,6 +137,7 @@ if TYPE_CHECKING:
     from gpusim.domain.scene import Layer as Layer, Scene as Scene
     from gpusim.domain.sensor import Sensor as Sensor
     from gpusim.domain.spectrum import Spectrum as Spectrum
+    from gpusim.domain.view_images import ViewImages as ViewImages
     from gpusim.domain.account import Tolerance as Tolerance
     from gpusim.domain.scene import View as View
     from gpusim.optics.labels import carry_labels as carry_labels
