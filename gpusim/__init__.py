@@ -65,6 +65,7 @@ _NAMES = {
     "io.camera.psf": ("read_psf", "write_psf"),
     "io.camera.zemax": ("read_zemax_psf",),
     "io.frame.events": ("write_events",),
+    "io.frame.view_images": ("open_views", "save_views"),
     "io.scene.arrays": ("scene_from",),
     "io.scene.light_fields": ("open_light_field", "save_light_field"),
     "io.scene.scenes": ("open_scene", "save_scene", "picture"),
@@ -146,6 +147,7 @@ if TYPE_CHECKING:
     from gpusim.pipeline.frame import Frame as Frame
     from gpusim.io.scene.arrays import scene_from as scene_from
     from gpusim.io.frame.events import write_events as write_events
+    from gpusim.io.frame.view_images import open_views as open_views, save_views as save_views
     from gpusim.io.scene.light_fields import open_light_field as open_light_field
     from gpusim.io.scene.light_fields import save_light_field as save_light_field
     from gpusim.io.scene.scenes import open_scene as open_scene, picture as picture

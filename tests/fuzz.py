@@ -41,6 +41,7 @@ from gpusim.io.camera.psf import read_psf
 from gpusim.io.camera.zemax import read_zemax_psf
 from gpusim.io.exr import write_rgb_exr, write_spectral_exr
 from gpusim.io.frame.icc import icc_profile
+from gpusim.io.frame.view_images import open_views
 from gpusim.io.scene.light_fields import open_light_field
 from gpusim.io.scene.scenes import open_scene
 
@@ -52,6 +53,7 @@ READERS = (
     "table",
     "scene",
     "light_field",
+    "views",
     "exr",
     "png",
     "jpg",
@@ -99,6 +101,7 @@ READ = {
     "psf": read_psf,
     "table": read_table,
     "light_field": open_light_field,
+    "views": open_views,
     "calibration": read_calibration,
     "profile": read_noise_profile,
     "planes": lambda path: open_scene(path, wavelengths=WAVES),
@@ -181,6 +184,11 @@ def good_archives(reader):
             )
             found = dict(np.load(path))
         return [found, {key: value for key, value in found.items() if key != "offsets"}]
+    if reader == "views":
+        plain = {"values": values.reshape(1, 3, 6, 5, 1), "slope_px_per_radius_diopter": -2.0}
+        plain |= {"object_distance_m": 0.5, "focal_length_m": 4e-3, "f_number": 2.0}
+        plain |= {"extent_radii": 1.0}
+        return [plain, plain | {"light": np.ones((1, 3)), "name": "a", "object_distance_m": np.inf}]
     if reader == "light_field":
         shared = {"views": [1, 2], "radius_m": 1e-3, "object_distance_m": 0.5}
         shared |= {"wavelengths_nm": WAVES, "light_field_name": "a"}

@@ -38,6 +38,7 @@ PHOTO = f"photo.png {ON}"
 SEVERAL = f"in_1.png in_2.png in_3.png {ON}"
 PLANES = f"planes.npy {ON} --wavelengths 450,550,650 --exposure .01"
 SPACE = f"depth.exr {ON}"
+VIEWS = "views.npz --device numpy"
 PARTS = f"parts.exr {ON} --exposure 1/60"
 
 # Options of a scene, its camera and the planner: a name, the arguments before it, and its own
@@ -164,6 +165,18 @@ ROWS = {
         "capture": (CHART, "--capture bracket=-1:0"),
         "port": (CHART, "--port 8089"),
         "host": (CHART, "--host 0.0.0.0"),
+    },
+    "refocus": {
+        "out": (f"{VIEWS} -o out.npy", "-o out.png"),
+        "distance": (f"{VIEWS} -o out.npy", "--distance 0.3"),
+        "slope": (f"{VIEWS} -o out.npy", "--slope 1.5"),
+        "aperture": (f"{VIEWS} -o out.npy", "--aperture 0.6"),
+        "all_in_focus": (f"{VIEWS} -o out.npy", "--all-in-focus"),
+        "depth": (f"{VIEWS} -o out.npy", "--depth depth.npz"),
+        "page": (f"{VIEWS} -o out.npy", "--page page.html"),
+        "range": (f"{VIEWS} --depth depth.npz", "--range 0.4,0.8"),
+        "white": (f"{VIEWS} -o out.png", "--white 3"),
+        "device": (f"{VIEWS} -o out.npy", "--device warp:cpu"),
     },
     "train-l3": {
         "camera": ("--camera phone -o out.npz", "--camera machine-vision"),
@@ -315,6 +328,8 @@ def inputs(tmp_path_factory):
         gs.save_scene(
             replace(scene, depth=depth.reshape(planes[0].shape)), folder / f"{name}depth.exr"
         )
+    values = random.random((3, 3, 12, 14, 3), np.float32)
+    gs.save_views(gs.ViewImages(values, -2.0, 0.5, 4e-3, 2.0), folder / "views.npz")
     film = "-o film.mkv --codec ffv1-linear --frames 2 --pan 0,90".split()
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)

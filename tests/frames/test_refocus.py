@@ -53,7 +53,7 @@ def test_slopes_are_those_of_the_lens():
 
 
 def test_views_of_a_light_field_refocus():
-    """A scene's wall at 1.5 m, as pinholes in the pupil see it, is sharp at 1.5 m; tolerances as above, and a spline's."""
+    """A scene's wall at 1.5 m, as pinholes in the pupil see it, is sharp at 1.5 m. Tolerances: as above."""
     y, x = np.arange(64) - 31.5, np.arange(56) - 27.5
     sharp = Waves(np.random.default_rng(6), highest=0.6)(y[:, None], x[None])
     content = gs.Cube(np.array([550.0]), sharp[None].astype(np.float32))
@@ -99,8 +99,8 @@ def amplitude(picture, k):
 def test_a_synthetic_aperture_blurs_as_a_smaller_lens(radius):
     """The transfer function of a disc of radius a, 2 J1(u) / u at u = k slope a, begins as 1 - u^2 / 8.
 
-    The loss u^2 / 8 is the blur's squared rms radius times k^2 / 4. At u = 0.35 the terms that follow are u^2 / 24 = 0.5 %
-    of it, and both have them within a tenth. The square root of the losses' ratio is the ratio of radii, to 1 %.
+    The loss u^2 / 8 is the blur's squared rms radius times k^2 / 4. At u = 0.35 further terms are u^2 / 24 = 0.5 %
+    of it, and both have them to a tenth. The square root of the losses' ratio is the ratio of radii, to 1 %.
     """
     slope, shape = 5.0, (9, 9)
     k = np.array([0.6, 0.8]) * 0.35 / (slope * radius)

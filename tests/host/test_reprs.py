@@ -45,6 +45,8 @@ def objects():
         deep,
         deep.layers[0],
         gs.LightField(((deep, deep),), 1e-3),
+        gs.ViewImages(np.ones((2, 3, 4, 5, 1)), -2.0, 0.5, 4e-3, 2.0, name=300 * "n"),
+        gs.ViewDepth(*np.ones((5, 4, 5))),
         picture,
         lit,
         *(one.content for one in (CHECKER, CUBE, picture, lit)),
