@@ -29,7 +29,7 @@ _NAMES = {
     "captures.moving": ("expose_moving", "expose_motion"),
     "captures.parallax": ("move_camera",),
     "captures.pinholes": ("light_field",),
-    "captures.refocus": ("focus_stack", "refocus"),
+    "captures.refocus": ("focus_stack", "refocus", "view_images"),
     "captures.slices": ("refocus_by_slices",),
     "captures.view_depth": ("ViewDepth", "all_in_focus", "depth_from_views"),
     "captures.reads": ("Reads", "read_nondestructively"),
@@ -100,6 +100,7 @@ if TYPE_CHECKING:
     from gpusim.captures.parallax import move_camera as move_camera
     from gpusim.captures.pinholes import light_field as light_field
     from gpusim.captures.refocus import focus_stack as focus_stack, refocus as refocus
+    from gpusim.captures.refocus import view_images as view_images
     from gpusim.captures.slices import refocus_by_slices as refocus_by_slices
     from gpusim.captures.view_depth import ViewDepth as ViewDepth, all_in_focus as all_in_focus
     from gpusim.captures.view_depth import depth_from_views as depth_from_views

@@ -21,7 +21,8 @@ class ViewImages:
     """Linear pictures of one scene through T x S cells of a pupil.
 
     Cell (j, i) has its centre at the place (y, x) = extent (-1 + (2 j + 1) / T, -1 + (2 i + 1) / S) in
-    radii of the pupil, along the rows and columns of the picture. A thing at the distance D is
+    radii of the pupil, along the rows and columns of the picture; if the pupil cuts it, the middle of
+    its light counts. A thing at the distance D is
     displaced in a view by its slope times this place, slope = slope_per_diopter (1 / object_distance -
     1 / D) [pixel per radius].
 
@@ -126,8 +127,22 @@ class ViewImages:
 
     @property
     def places(self) -> np.ndarray:
-        """Places (y, x) of the cells' centres [radius], shape (T, S, 2)."""
-        return self.extent * cell_centres(self.shape)
+        """Places (y, x) of the cells' centres, or of their light's, [radius], shape (T, S, 2)."""
+        centres = self.extent * cell_centres(self.shape)
+        if self.light is None:
+            return centres
+        points, lit = self._points()
+        count = lit.sum(axis=(1, 3))[..., None]
+        middles = (points * lit[..., None]).sum(axis=(1, 3)) / np.maximum(count, 1)
+        return np.where(count > 0, middles, centres)
+
+    def _points(self):
+        """Return points of the cells (T, FINE, S, FINE, 2) [radius], and whether light passes there."""
+        shape = self.shape[0], FINE, self.shape[1], FINE
+        points = self.extent * cell_centres((shape[0] * FINE, shape[2] * FINE)).reshape(*shape, 2)
+        if self.light is None:
+            return points, np.ones(shape, bool)
+        return points, np.square(points).sum(axis=-1) <= 1
 
     def slope_at(self, distance: Any) -> Any:
         """Return the slope of things at a distance.
@@ -199,9 +214,8 @@ class ViewImages:
         """Return the weights of the disc that blurs as one of this radius does. Raise OutOfRange."""
         if not 0 < radius < np.inf:
             raise OutOfRange("aperture", radius, "a radius, more than 0 pupil radii")
-        points = self.extent * cell_centres((self.shape[0] * FINE, self.shape[1] * FINE))
-        squares = np.square(points).sum(axis=-1).reshape(self.shape[0], FINE, self.shape[1], FINE)
-        lit = np.ones(squares.shape, bool) if self.light is None else squares <= 1
+        points, lit = self._points()
+        squares = np.square(points).sum(axis=-1)
         count = np.maximum(lit.sum(axis=(1, 3)), 1)
         moments = (squares * lit).sum(axis=(1, 3)) / count
 
