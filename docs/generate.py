@@ -93,6 +93,17 @@ GROUPS = {  # by the module of a public name, in the order of the page
         "domain.psf",
         "measure.photon_transfer",
     ),
+    "Light fields": (
+        "domain.light_field",
+        "domain.view_images",
+        "captures.pinholes",
+        "captures.views",
+        "captures.refocus",
+        "captures.slices",
+        "captures.view_depth",
+        "io.scene.light_fields",
+        "io.frame.view_images",
+    ),
     "Scenes": (
         "domain.scene",
         "domain.content",

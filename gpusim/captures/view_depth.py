@@ -18,6 +18,10 @@ METHODS = ("correspondence", "contrast")
 SMOOTH = (0.25, 0.5, 0.25)  # of views before they are compared
 # correlation of white noise that was smoothed so, at 0, 1 and 2 pixels either way
 CORRELATION = np.array([1, 4, 6, 4, 1]) / 6
+GRADIENT = 5 / 12  # mean square of its gradient along an axis, over its variance: (1 - 1 / 6) / 2
+SURE = 4.0  # standard deviations by which a texture has to exceed the noise
+SAME = 6.0  # gradients of noise in a window, over those that are independent of one another
+ROUNDING = 8 * 2.0**-24  # of an interpolated view, relative to its light
 MOST_WINDOW = 201
 
 
@@ -68,9 +72,11 @@ def depth_from_views(
 
     with C and C'' summed over channels. r is the noise's power at the frequencies of the texture
     over its mean power, from the gradient of the picture and the correlation of smoothed noise. A
-    thing that only a part of the views sees, and a texture that repeats, are not in it. It is
-    infinite for pixels whose window the outermost views do not show, at the ends of the range, and
-    without a minimum.
+    thing that only a part of the views sees, a texture that repeats, and a pattern of the sensor,
+    which is at one place in all views and looks like a thing in focus, are not in it. It is infinite
+    for pixels whose window the outermost views do not show, at the ends of the range, without a
+    minimum, and without texture: if the gradient of the mean of all views is no larger, by SURE
+    standard deviations, than its noise explains.
 
     Args:
         views: The views, 2 or more.
@@ -121,11 +127,16 @@ def depth_from_views(
         uncertainty = np.full((rows, cols), np.nan)
     else:
         count = weights.sum() ** 2 / (weights**2).sum()
-        power = _noise_power(picture, views.places, weights, window)
+        value = np.maximum(value, np.square(ROUNDING * picture).sum(axis=0))
+        places = np.average(np.square(views.places), axis=(0, 1), weights=weights)
+        energy, noisy = _texture_energy(picture, places, window)
+        noise = GRADIENT * places.sum() * value / count
+        is_textured = energy > (1 + SURE * np.sqrt(SAME / (channels * window**2))) * noise
         samples = (count - 1) * channels * window**2
         with np.errstate(divide="ignore", invalid="ignore"):
-            uncertainty = np.sqrt(2 * power * value / (samples * curvature))
-        is_known = np.isfinite(uncertainty) & _is_seen(slope, views.places, window)
+            uncertainty = np.sqrt(2 * noisy / energy * value / (samples * curvature))
+        is_known = np.isfinite(uncertainty) & is_textured
+        is_known &= _is_seen(slope, views.places, window)
         uncertainty = np.where(is_known, uncertainty, np.inf)
     slope = np.clip(slope, slopes[1], slopes[-2])
     low, high = (views.distance_at(slope + sign * _finite(uncertainty)) for sign in (-1, 1))
@@ -222,20 +233,21 @@ def _vertex(costs, slopes):
     return slopes[best] + move * step, value, np.where(is_inside, bend / step**2, 0)
 
 
-def _noise_power(picture, places, weights, window):
-    """Return the power of smoothed noise at the frequencies of a picture's changes, over its mean.
+def _texture_energy(picture, places, window):
+    """Return the mean squared change with the slope in a window, and the same with correlated noise's weights.
 
-    picture: planes. A view at the place (y, x) changes with the slope by its gradient times the place.
+    picture: planes. places: mean squares of the places along rows and columns: a view at the place (y, x)
+    changes by its gradient times the place. The second over the first is the power of smoothed noise at
+    the frequencies of the changes, over its mean.
     """
-    share = np.average(np.square(places).reshape(-1, 2), axis=0, weights=weights.ravel())
     both = np.zeros((2, *picture.shape[1:]))
-    for gradient, weight in zip(_gradients(picture), share, strict=True):
+    for gradient, share in zip(_gradients(picture), places, strict=True):
         noise = gradient
         for axis in (1, 2):
             noise = scipy.ndimage.convolve1d(noise, CORRELATION, axis, mode="nearest")
-        for part, product in zip(both, (gradient * noise, gradient**2), strict=True):
-            part += weight * scipy.ndimage.uniform_filter(product.sum(axis=0), window)
-    return np.maximum(both[0], 0) / np.maximum(both[1], np.finfo(np.float32).tiny)
+        for part, product in zip(both, (gradient**2, gradient * noise), strict=True):
+            part += share * scipy.ndimage.uniform_filter(product.sum(axis=0), window)
+    return both[0], np.maximum(both[1], 0)
 
 
 def _is_seen(slope, places, window):

@@ -73,6 +73,11 @@ def test_the_uncertainty_is_the_scatter():
 def test_no_texture_has_no_distance():
     flat = gs.depth_from_views(made_views(np.ones((3, 3, 40, 40, 1))), device="opencl")
     assert np.isinf(flat.uncertainty).all()
+    random = np.random.default_rng(6)
+    noisy = 1 + 0.1 * random.standard_normal((5, 5, 60, 60, 1))
+    found = gs.depth_from_views(made_views(noisy), distances=(0.4, 0.8), device="opencl")
+    # four standard deviations; gradients of noise are not quite normal
+    assert np.isinf(found.uncertainty).mean() > 0.99
     views = made_views(plane_views(Waves(np.random.default_rng(1)), 1.0, (3, 3), (60, 60)))
     found = gs.depth_from_views(views, distances=(0.4, 0.8), device="opencl")
     assert np.isinf(found.uncertainty[0]).all() and np.isfinite(found.uncertainty[30, 30])
