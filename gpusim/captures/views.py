@@ -3,12 +3,13 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import prod
+from math import pi, prod
 from typing import Any
 
 import numpy as np
 
 from gpusim.backends.tape import Tape, recording
+from gpusim.color.rendering import choose_colors, planes_of
 from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
@@ -16,6 +17,7 @@ from gpusim.domain.light_field import LightField
 from gpusim.domain.mask import LEAST_LIGHT, Mask, pupil_cells
 from gpusim.domain.scene import Scene, View, checked_scene
 from gpusim.domain.short_repr import shorten_repr
+from gpusim.domain.view_images import ViewImages
 from gpusim.optics.cells import relative_difference
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.simulator import Simulator
@@ -62,6 +64,17 @@ class Views:
     def total(self) -> np.ndarray:
         """Sum over the cells, (C, rows, cols) [e-/s]: the picture of a lens whose cells do not interfere."""
         return np.asarray(self).sum(axis=(0, 1), dtype=np.float64)
+
+    def pictures(self) -> ViewImages:
+        """Return the views as linear pictures in the display's colours, all of one brightness, white 1.
+
+        White is a perfect white diffuser in the scene's light; if the light is not known, the brightest value.
+        """
+        (at, made), shape = next(iter(self.plans.items())), self.shares.shape
+        rates = made.white_rate
+        white = None if rates is None else rates / self.shares[at] / prod(shape)
+        values = np.moveaxis(np.asarray(self), 2, -1)
+        return show_views(values, self.simulator.camera, made, self.shares, white)
 
     @property
     def account(self) -> Account:
@@ -212,6 +225,37 @@ def expose_views(
         OutOfRange: There are fewer than one or more than 256 cells along an axis.
     """
     return ViewCapture(simulator, scene, views)()
+
+
+def show_views(
+    values: np.ndarray,
+    camera: Camera,
+    plan: Plan,
+    shares: np.ndarray,
+    white: np.ndarray | None = None,
+) -> ViewImages:
+    """Return views as linear pictures in the display's colours, all of one brightness.
+
+    Args:
+        values: Light of every channel in each view, in any unit, (T, S, rows, cols, C).
+        camera: The camera.
+        plan: Plan of the scene, for its light.
+        shares: Light of each view over the light of the whole lens (T, S) [1].
+        white: Value of white in each channel (C,), in a cell that is open wholly; None: the largest value is 1.
+    """
+    scene, letters = plan.scene, camera.sensor.channels
+    light = scene.illuminant if scene.light_is_known else None
+    colors = choose_colors(plan.white_rate, light, camera)
+    planes = [letters.index(letter) for letter in planes_of(camera)]
+    matrix = colors.at(1.0, 1.0, 1.0).linear_matrix
+    areas = shares * (shares.size * pi / 4)  # of the cells: the pupil is pi / 4 of the square
+    areas = areas / max(areas.max(), 1.0)
+    even = np.divide(1, areas, out=np.zeros(areas.shape), where=areas > LEAST_LIGHT)
+    linear = (values[..., planes] * even[:, :, None, None, None]) @ matrix.T
+    brightest = linear.max() if white is None else (white[planes] / (pi / 4)) @ matrix[1]
+    return ViewImages.of(
+        linear / max(brightest, 1e-300), camera, scene.samples_per_pixel, light=areas
+    )
 
 
 def predict_difference(plan: Plan, camera: Camera, shape: tuple[int, int]) -> float:
