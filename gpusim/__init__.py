@@ -23,8 +23,10 @@ _NAMES = {
     "captures.bracket": ("Bracket", "bracket"),
     "captures.burst": ("Burst", "burst", "average"),
     "captures.capture": ("Capture", "change_exposure_time"),
+    "captures.decoding": ("LensletGrid", "calibrate_lenslets", "decode_lenslets"),
     "captures.events": ("EventSensor", "events_of"),
     "captures.focus": ("autofocus",),
+    "captures.lenslets": ("apply_lenslets",),
     "captures.merge": ("merge_bracket", "merge_burst", "merge_flash", "merge_reads"),
     "captures.moving": ("expose_moving", "expose_motion"),
     "captures.parallax": ("move_camera",),
@@ -48,6 +50,7 @@ _NAMES = {
     "domain.flicker": ("Flicker",),
     "domain.illuminated": ("Illuminated",),
     "domain.light_field": ("LightField",),
+    "domain.lenslets": ("Lenslets",),
     "domain.motion": ("Motion",),
     "domain.noise": ("Noise",),
     "domain.optics": ("Optics",),
@@ -71,6 +74,7 @@ _NAMES = {
     "io.scene.scenes": ("open_scene", "save_scene", "picture"),
     "measure": ("photon_transfer",),
     "optics.labels": ("carry_labels",),
+    "optics.lenslets": ("LensletSamples", "lenslet_grid", "lenslet_samples"),
     "optics.panorama": ("view_panorama",),
     "pipeline.exposure": ("Exposure",),
     "pipeline.frame": ("Frame",),
@@ -91,8 +95,12 @@ if TYPE_CHECKING:
     from gpusim.captures.burst import Burst as Burst, average as average, burst as burst
     from gpusim.captures.capture import Capture as Capture
     from gpusim.captures.capture import change_exposure_time as change_exposure_time
+    from gpusim.captures.decoding import LensletGrid as LensletGrid
+    from gpusim.captures.decoding import calibrate_lenslets as calibrate_lenslets
+    from gpusim.captures.decoding import decode_lenslets as decode_lenslets
     from gpusim.captures.events import EventSensor as EventSensor, events_of as events_of
     from gpusim.captures.focus import autofocus as autofocus
+    from gpusim.captures.lenslets import apply_lenslets as apply_lenslets
     from gpusim.captures.merge import merge_bracket as merge_bracket, merge_burst as merge_burst
     from gpusim.captures.merge import merge_flash as merge_flash, merge_reads as merge_reads
     from gpusim.captures.moving import expose_motion as expose_motion
@@ -131,6 +139,7 @@ if TYPE_CHECKING:
     from gpusim.domain.flicker import Flicker as Flicker
     from gpusim.domain.illuminated import Illuminated as Illuminated
     from gpusim.domain.light_field import LightField as LightField
+    from gpusim.domain.lenslets import Lenslets as Lenslets
     from gpusim.domain.motion import Motion as Motion
     from gpusim.domain.noise import Noise as Noise
     from gpusim.domain.optics import Optics as Optics
@@ -143,6 +152,9 @@ if TYPE_CHECKING:
     from gpusim.domain.account import Tolerance as Tolerance
     from gpusim.domain.scene import View as View
     from gpusim.optics.labels import carry_labels as carry_labels
+    from gpusim.optics.lenslets import LensletSamples as LensletSamples
+    from gpusim.optics.lenslets import lenslet_grid as lenslet_grid
+    from gpusim.optics.lenslets import lenslet_samples as lenslet_samples
     from gpusim.optics.panorama import view_panorama as view_panorama
     from gpusim.pipeline.exposure import Exposure as Exposure
     from gpusim.pipeline.frame import Frame as Frame

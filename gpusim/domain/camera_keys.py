@@ -11,6 +11,7 @@ from gpusim.domain.display import Display
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
 from gpusim.domain.errors import BadData, BadFile, UnknownName, format_value, near
 from gpusim.domain.exposure import AutoExposure
+from gpusim.domain.lenslets import Lenslets
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.noise import Noise
 from gpusim.domain.optics import Optics
@@ -163,6 +164,24 @@ _auto_exposure = _table(
         "most_gain": ("most_gain", _number()),
     },
 )
+_lenslets_fields = _table(
+    Lenslets,
+    {
+        "pitch_um": ("pitch", _number(MICRO)),
+        "focal_length_um": ("focal_length", _number(MICRO)),
+        "gap_um": ("gap", _number_or_auto(MICRO)),
+        "layout": ("layout", _text),
+        "rotation_deg": ("rotation", _number(180 / np.pi)),
+        "offset_um": ("offset", _numbers(2, MICRO)),
+        "fill": ("fill", _number()),
+    },
+)
+
+
+def _lenslets(value):
+    if type(value) is dict and not {"pitch_um", "focal_length_um"} <= value.keys():
+        raise _Wanted("a table with pitch_um and focal_length_um")
+    return _lenslets_fields(value)
 
 
 def _numbers_or_lists(value):
@@ -319,6 +338,7 @@ _OPTICS = {
 _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(MICRO)),
     "microlens": ("microlens", _microlens),
+    "lenslets": ("lenslets", _lenslets),
     "cfa": ("cfa", _mosaic),
     "photodetector_size": ("photodetector", _numbers(2)),
     "photodetector_centre": ("centre", _numbers(2)),

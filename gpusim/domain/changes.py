@@ -11,6 +11,7 @@ from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.filters import Filters
 from gpusim.domain.learned import FilterTable
+from gpusim.domain.lenslets import Lenslets
 from gpusim.domain.network import Network
 from gpusim.domain.noise import reset_noise
 from gpusim.domain.processor import fit_to_mosaic
@@ -33,11 +34,12 @@ OBJECTS = {
     "distortion": Distortion,
     "calibration": Distortion,
     "microlens": Microlens,
+    "lenslets": Lenslets,
     "auto_exposure": AutoExposure,
     "table": FilterTable,
     "network": Network,
 }
-NONE = ("psf", "distortion", "microlens", "table", "network")  # fields that None resets
+NONE = ("psf", "distortion", "microlens", "lenslets", "table", "network")  # fields that None resets
 WAVEFRONT = {"zernike", "heights", "seidel", "reference"}
 # Fields that a noise profile replaces
 GAINS = {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}

@@ -17,6 +17,7 @@ from gpusim.domain.errors import (
 )
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.filters import Filters
+from gpusim.domain.lenslets import Lenslets, check_lenslets
 from gpusim.domain.mosaics import bayer_phase
 from gpusim.domain.noise import Noise
 from gpusim.domain.short_repr import short_repr
@@ -127,6 +128,7 @@ class Sensor:
             [pixel]. Several captures sample a finer grid; give each its own noise.seed, and its own
             seed or frame number for temporal noise.
         microlens: Loss of oblique light toward the corner, or None.
+        lenslets: Array of lenslets of a light-field camera, each over many pixels, or None.
         vignetting: Map of relative responses over the frame, shape (ny, nx), nodes evenly spaced
             from edge to edge, interpolated bilinearly; or None.
         exposure_time: Exposure time [s]; None: `auto_exposure` sets it.
@@ -166,6 +168,7 @@ class Sensor:
     centre: tuple[float, float] = (0.0, 0.0)
     offset: tuple[float, float] = (0.0, 0.0)
     microlens: Microlens | None = None
+    lenslets: Lenslets | None = None
     vignetting: tuple[tuple[float, ...], ...] | None = None
     exposure_time: float | None = None
     auto_exposure: AutoExposure = field(default_factory=AutoExposure)
@@ -202,6 +205,7 @@ class Sensor:
                     f"sensor.{key} = {format_value(value)}: wanted a tuple of texts, such as {wanted}"
                 )
         check_fields("sensor", self, LIMITS)
+        check_lenslets(self.lenslets, self.pixel_pitch)
         self._check_pixel()
         self._check_readout()
         self._check_mosaic()

@@ -69,6 +69,7 @@ VALUES = {  # of every key, and of others that it needs, also in another section
         "photodetector_centre": "[0.05, -0.05]\nphotodetector_size = [0.8, 0.8]",
         "offset": "[1.0, 0.0]",
         "microlens": "{angles_deg = [0, 15, 30, 60], response = [1, 0.97, 0.85, 0.5], shift = 0.8}",
+        "lenslets": "{pitch_um = 14, focal_length_um = 40}",
         "vignetting": "[[0.9, 0.95], [1.0, 0.8]]",
         "qe": '"iset-rgb"',
         "photodetector": '"cmos-photodetector"',
@@ -164,7 +165,15 @@ focal_length_mm = 4.44
 """
 }  # keys that stand for so many others that they have files of their own
 # Nothing of one frame of a still scene shows these; the base says qe_ends, so that its value is the same
-SILENT = {"name", "luminance_cd_per_m2", "row_time_us", "telegraph_switching", "qe_ends"}
+# and lenslets need a light field
+SILENT = {
+    "name",
+    "luminance_cd_per_m2",
+    "row_time_us",
+    "telegraph_switching",
+    "qe_ends",
+    "lenslets",
+}
 PAIRS = [(section, key) for section, keys in SECTIONS.items() for key in keys]
 
 

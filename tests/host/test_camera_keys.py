@@ -62,6 +62,12 @@ VALUES = {
         "photodetector_centre": ([0.1, 0.0], {"fill_factor": 0.5}),
         "offset": [0.5, 0.25],
         "microlens": {"angles_deg": [0, 20], "response": [1, 0.8], "shift": 0.5},
+        "lenslets": {
+            "pitch_um": 14,
+            "focal_length_um": 40,
+            "layout": "hexagonal",
+            "gap_um": "auto",
+        },
         "vignetting": [[0.8, 1.0], [1.0, 0.9]],
         "exposure_time_ms": 7,
         "auto_exposure": {"method": "mean", "level": 0.2},

@@ -82,6 +82,9 @@ def objects():
         BrownConrady(0.1, -0.2, 0.0, 0.0, 0.0, 2.5),
         RadialTable(np.linspace(0, 1, 50), np.linspace(0, 1.1, 50)),
         gs.open_camera("mono"),
+        gs.Lenslets(14e-6, 40e-6),
+        gs.LensletGrid(10.0, 0.0, (20.0, 20.0)),
+        gs.LensletSamples((50, 60), 14e-6, (0.0, 0.0), (500, 600)),
         sfr(edge),
     ]
 

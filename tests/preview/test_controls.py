@@ -191,6 +191,7 @@ EXAMPLES = {
     "sensor.photodetector_centre": [[0.2, 0.0]],
     "sensor.offset": [[3.5, 0.0]],
     "sensor.microlens": [{"angles_deg": [0, 15, 30], "response": [1, 0.8, 0.5], "shift": 0.5}],
+    "sensor.lenslets": [{"pitch_um": 14, "focal_length_um": 40, "gap_um": "auto"}],
     "sensor.vignetting": [[[0.5, 0.7, 0.5], [0.7, 1, 0.7], [0.5, 0.7, 0.5]]],
     "sensor.sensitivity": ["iset-rgb"],
     "sensor.noise_profile": ["missing.dng"],
@@ -203,6 +204,7 @@ EXAMPLES = {
 # controls without an effect on this picture of this camera, with the reason
 SILENT = {
     "sensor.row_time_us": "nothing moves",
+    "sensor.lenslets": "a frame without views of the pupil has no light field",
     "noise.doubling_k": "the sensor has the reference temperature",
     "sensor.binning_mode": "nothing is binned",
     "optics.reference_nm": "there are no aberrations",

@@ -207,6 +207,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         _text("sensor", "photodetector_centre", "photodetector centre"),
         _text("sensor", "offset", "offset of the chip"),
         _text("sensor", "microlens", "microlens"),
+        _text("sensor", "lenslets", "lenslet array"),
         _text("sensor", "vignetting", "pixel vignetting"),
         _choice("sensor", "stacked", "stacked pixels", (False, True)),
         _text("sensor", "binning", "binning", ("[1, 1]", "[2, 2]", "[3, 3]", "[4, 4]")),
