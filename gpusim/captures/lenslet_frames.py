@@ -217,7 +217,7 @@ def fit_samples(camera: Camera, shape: tuple[int, int]) -> LensletSamples:
         pitch = lenslet_samples(lenslets, sensor, optics, (least, least)).pitch
     pixels = tuple(max(round(n * pitch / sensor.pixel_pitch), 1) for n in shape)
     wanted = lenslet_samples(lenslets, sensor, optics, pixels)
-    # both grids are symmetric about their middle, so sample i + k lies on sample i if their numbers differ by an even one
+    # samples lie on those wanted; both grids are symmetric about their middles
     moved = tuple(
         (own + (n - size) / 2 + 0.5) % 1 - 0.5
         for own, n, size in zip(wanted.offset, wanted.shape, shape, strict=True)
