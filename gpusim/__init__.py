@@ -33,6 +33,8 @@ _NAMES = {
     "captures.pinholes": ("light_field",),
     "captures.refocus": ("focus_stack", "refocus", "view_images"),
     "captures.slices": ("refocus_by_slices",),
+    "captures.lenslet_frames": ("LensletCapture", "LensletExposure", "expose_lenslets"),
+    "captures.views": ("ViewCapture", "Views", "expose_views"),
     "captures.view_depth": ("ViewDepth", "all_in_focus", "depth_from_views"),
     "captures.reads": ("Reads", "read_nondestructively"),
     "data.charts": ("chart",),
@@ -110,6 +112,11 @@ if TYPE_CHECKING:
     from gpusim.captures.refocus import focus_stack as focus_stack, refocus as refocus
     from gpusim.captures.refocus import view_images as view_images
     from gpusim.captures.slices import refocus_by_slices as refocus_by_slices
+    from gpusim.captures.lenslet_frames import LensletCapture as LensletCapture
+    from gpusim.captures.lenslet_frames import LensletExposure as LensletExposure
+    from gpusim.captures.lenslet_frames import expose_lenslets as expose_lenslets
+    from gpusim.captures.views import ViewCapture as ViewCapture, Views as Views
+    from gpusim.captures.views import expose_views as expose_views
     from gpusim.captures.view_depth import ViewDepth as ViewDepth, all_in_focus as all_in_focus
     from gpusim.captures.view_depth import depth_from_views as depth_from_views
     from gpusim.captures.reads import Reads as Reads

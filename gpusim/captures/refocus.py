@@ -75,10 +75,7 @@ def view_images(views: Views, seconds: float = 1.0) -> ViewImages:
         raise BadData(f"views: {type(views).__name__}, wanted Views of expose_views")
     if not 0 < seconds < np.inf:
         raise OutOfRange("seconds", seconds, "more than 0 s")
-    camera = views.simulator.camera
-    # of a whole cell: four over its number, of a circle's pi, of which `area` is open
-    whole = 4 / (views.shares.size * np.pi * camera.optics.pupil.area)
-    light = np.minimum(views.shares / whole, 1)
+    camera, light = views.simulator.camera, views.areas
     scale = np.divide(seconds, light, out=np.zeros_like(light), where=light > 0)
     values = np.moveaxis(np.asarray(views), 2, -1) * scale[..., None, None, None].astype(np.float32)
     return ViewImages.of(values, camera, light=light, name=views.scene.name)

@@ -21,6 +21,7 @@ from gpusim.domain.view_images import ViewImages
 from gpusim.optics.cells import relative_difference
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.simulator import Simulator
+from gpusim.pipeline.step import Rate, Values
 from gpusim.planner.plan import Plan
 
 NODES, DISTANCES = (
@@ -70,11 +71,18 @@ class Views:
 
         White is a perfect white diffuser in the scene's light; if the light is not known, the brightest value.
         """
-        (at, made), shape = next(iter(self.plans.items())), self.shares.shape
+        (at, made), areas = next(iter(self.plans.items())), self.areas
+        even = np.divide(1, areas, out=np.zeros(areas.shape), where=areas > LEAST_LIGHT)
+        values = np.moveaxis(np.asarray(self), 2, -1) * even[:, :, None, None, None]
         rates = made.white_rate
-        white = None if rates is None else rates / self.shares[at] / prod(shape)
-        values = np.moveaxis(np.asarray(self), 2, -1)
-        return show_views(values, self.simulator.camera, made, self.shares, white)
+        white = None if rates is None else rates / areas[at]
+        return show_views(values, self.simulator.camera, made, areas, white)
+
+    @property
+    def areas(self) -> np.ndarray:
+        """Share of each cell's square through which light passes, (T, S) [1]."""
+        area = self.simulator.camera.optics.pupil.area * pi / 4  # of the square around the pupil
+        return np.minimum(self.shares * self.shares.size * area, 1.0)
 
     @property
     def account(self) -> Account:
@@ -97,6 +105,14 @@ class Views:
         return predict_difference(
             next(iter(self.plans.values())), self.simulator.camera, self.shares.shape
         )
+
+
+class _Computing(Cache):
+    """Keeps nothing: each value is computed, on the tape of the capture."""
+
+    def run(self, name, function, args, kwargs, numbers) -> Any:
+        """Return `function(*args, **kwargs, **numbers)`."""
+        return function(*args, **kwargs, **numbers)
 
 
 class ViewCapture:
@@ -193,13 +209,19 @@ class ViewCapture:
         shape = len(made.weights), *made.scene.shape
         for at in np.ndindex(self.shape):
             if at in self.plans:
-                own = self._cells[at].imaging
-                values = own.values(self.plans[at])
-                values.set_numbers(exposure_time=1.0)
-                yield values["electrons"]
+                yield self._values_of(at)["electrons"]
             else:
                 empty = device.array(np.zeros(shape, np.float32)) if empty is None else empty
                 yield empty
+
+    def _values_of(self, at: tuple[int, int]) -> Values:
+        """Return the values of a cell's frame. Its tables are kept."""
+        own, made = self._cells[at], self.plans[at]
+        values = Values(dict.fromkeys(Rate, _Computing()) | {Rate.CAMERA: own.tables})
+        values.use(own.imaging.steps(made))
+        values.give(content=made.content, view=made.scene.view)
+        values.set_numbers(exposure_time=1.0)
+        return values
 
 
 def expose_views(
@@ -231,31 +253,28 @@ def show_views(
     values: np.ndarray,
     camera: Camera,
     plan: Plan,
-    shares: np.ndarray,
+    areas: np.ndarray,
     white: np.ndarray | None = None,
+    pitch: float = 1.0,
 ) -> ViewImages:
-    """Return views as linear pictures in the display's colours, all of one brightness.
+    """Return views as linear pictures in the display's colours.
 
     Args:
-        values: Light of every channel in each view, in any unit, (T, S, rows, cols, C).
+        values: Light of every channel in each view, all of one brightness, in any unit, (T, S, rows, cols, C).
         camera: The camera.
         plan: Plan of the scene, for its light.
-        shares: Light of each view over the light of the whole lens (T, S) [1].
-        white: Value of white in each channel (C,), in a cell that is open wholly; None: the largest value is 1.
+        areas: Share of each cell's square through which light passes, (T, S) [1].
+        white: Value of white in each channel (C,); None: the largest value is 1.
+        pitch: Distance of the values [pixel].
     """
     scene, letters = plan.scene, camera.sensor.channels
     light = scene.illuminant if scene.light_is_known else None
     colors = choose_colors(plan.white_rate, light, camera)
     planes = [letters.index(letter) for letter in planes_of(camera)]
     matrix = colors.at(1.0, 1.0, 1.0).linear_matrix
-    areas = shares * (shares.size * pi / 4)  # of the cells: the pupil is pi / 4 of the square
-    areas = areas / max(areas.max(), 1.0)
-    even = np.divide(1, areas, out=np.zeros(areas.shape), where=areas > LEAST_LIGHT)
-    linear = (values[..., planes] * even[:, :, None, None, None]) @ matrix.T
-    brightest = linear.max() if white is None else (white[planes] / (pi / 4)) @ matrix[1]
-    return ViewImages.of(
-        linear / max(brightest, 1e-300), camera, scene.samples_per_pixel, light=areas
-    )
+    linear = values[..., planes] @ matrix.T
+    brightest = linear.max() if white is None else white[planes] @ matrix[1]
+    return ViewImages.of(linear / max(brightest, 1e-300), camera, 1 / pitch, light=areas)
 
 
 def predict_difference(plan: Plan, camera: Camera, shape: tuple[int, int]) -> float:

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 from gpusim.apps.video.segments import numbered_path
 from gpusim.cli.captures import capture_option
-from gpusim.cli.options import Request, flag, option, seed_option, whole, write_json
+from gpusim.cli.options import Request, flag, option, reads, seed_option, whole, write_json
+from gpusim.cli.views import simulate_views
 from gpusim.domain.errors import BadFile
 from gpusim.domain.progress import announce_each
 
@@ -17,6 +18,15 @@ if TYPE_CHECKING:  # the command line starts without them
     from gpusim.captures.capture import Capture
 
 TEXTS = {"help": "a scene through a camera: raw frame, picture and report"}
+
+
+@reads("ROWSxCOLS of 1 .. 64 cells, such as 9x9")
+def _views(text):
+    """Return the rows and columns of the text ROWSxCOLS."""
+    rows, cols = (int(part) for part in text.split("x"))
+    if not 1 <= min(rows, cols) <= max(rows, cols) <= 64:
+        raise ValueError
+    return rows, cols
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +47,12 @@ class SimulateRequest(Request):
         help="number of the first frame: each has its own noise (default: 0)",
     )
     capture: "Capture | None" = capture_option("; frames that are not merged get numbered files")
+    views: tuple[int, int] | None = option(
+        type=_views,
+        metavar="ROWSxCOLS",
+        help="write pictures through as many cells of the pupil, .npz for gpusim refocus; with lenslets the raw frame "
+        "behind them, .npy, and the views that it holds",
+    )
     out: list[str] | tuple = option(
         "-o",
         "--out",
@@ -133,6 +149,8 @@ def simulate(request: SimulateRequest) -> int:
     from gpusim.io.frame.frames import LOSSY, check_format, frame_format
     from gpusim.pipeline.report import Report
 
+    if request.views is not None:
+        return simulate_views(request)
     outputs = request.check_outputs()  # before the work
     camera, scene = request.open_camera(), request.open_scene()
     simulator = request.open_simulator(camera)

@@ -55,6 +55,11 @@ def make_plan(
 ) -> Plan:
     """Return the plan of a scene, see `Simulator.plan`."""
     checked_scene(scene)
+    if simulator.camera.sensor.lenslets is not None:
+        raise BadData(
+            f"camera {simulator.camera.name}: pixels behind lenslets see the pupil's parts; make their frames by "
+            "gpusim.expose_lenslets or gpusim simulate --views, or remove [sensor] lenslets"
+        )
     reach, period, device = simulator.reach, simulator.period, simulator.device
     most = (
         LENGTHS[-1] // 2 - 2 * scene.margin

@@ -101,6 +101,7 @@ ROWS = {
         "frames": (f"{CHART} -o out.npz", "--frames 2"),
         "frame": (f"{CHART} -o out.npz", "--frame 3"),
         "capture": (f"{CHART} -o out.npz", "--capture burst=2"),
+        "views": (f"{CHART} -o out.npz", "--views 1x2"),
         "out": (CHART, "-o out.npz"),
         "bits": (f"{CHART} -o out.png", "--bits 16"),
         "quality": (f"{CHART} -o out.jpg", "--quality 20"),
