@@ -192,11 +192,13 @@ class ViewCapture:
         """Use another scene. Raises BadData if the plans do not serve it."""
         before, self.scene = self.scene, scene
         try:
+            scenes = {at: self._scene_of(at) for at in self.plans}
             for at, made in self.plans.items():
-                if why := made.misfit(self._scene_of(at)):
+                if why := made.misfit(scenes[at]):
                     raise BadData(f"views of {scene.name}: {why}; make another ViewCapture for it")
             self.plans = {
-                at: replace(made, scene=self._scene_of(at)) for at, made in self.plans.items()
+                at: replace(made, scene=scenes[at], content=scenes[at].content)
+                for at, made in self.plans.items()
             }
         except BadData:
             self.scene = before

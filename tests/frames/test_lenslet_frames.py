@@ -30,7 +30,8 @@ def exposure(camera):
 def test_light_behind_lenslets(camera, exposure):
     """The pixels get all light of the lens: their mean is the ordinary sensor's, away from the border.
 
-    The fill factor of both is one; lenslets of the border's neighbours are missing, which takes their crosstalk.
+    Light that lenslets beyond the array would diffract there is missing: of a spot of 1.6 pixels the share 1.6 / (pi^2
+    30) = 0.5 % lies more than 30 pixels away, along each axis.
     """
     assert exposure.mean.shape == (17 * 6, 21 * 6)
     plain = gs.Simulator(
@@ -38,7 +39,7 @@ def test_light_behind_lenslets(camera, exposure):
     )
     wanted = np.asarray(plain.expose(gs.chart("flat", size=(24, 24)), 0.01))[6:18, 6:18].mean()
     inner = np.asarray(exposure)[5 * 6 : 12 * 6, 5 * 6 : 16 * 6]
-    assert inner.mean() == pytest.approx(wanted, rel=5e-3)
+    assert inner.mean() == pytest.approx(wanted, rel=1.2e-2)
 
 
 def test_noise_of_raw_frames(exposure):
