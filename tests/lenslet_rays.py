@@ -42,6 +42,7 @@ def trace(rates, cfa, camera, samples, wavelengths, per_cell=6, per_sample=2):
         x = first + samples.pitch * (grid + inside)
         center = centres[tree.query(x)[1]]
         is_clear = _is_clear(x - center, array)
+        flats, values = [], []
         for j, i in np.ndindex(cells):
             s = pupil * (2 * (np.array([j, i]) + place) / cells - 1)
             target = center[:, :, None] + (center[:, :, None] - s) * image / distance
@@ -53,11 +54,12 @@ def trace(rates, cfa, camera, samples, wavelengths, per_cell=6, per_sample=2):
             base, part = base[is_in], (index - base)[is_in]
             own = (rates[j, i][:, :, :, None] * power)[:, is_in]
             for dy, dx in np.ndindex(2, 2):  # linear between four places
-                flat = (base[:, 0] + dy) * size[1] + base[:, 1] + dx
+                flats.append((base[:, 0] + dy) * size[1] + base[:, 1] + dx)
                 weight = np.abs(1 - dy - part[:, 0]) * np.abs(1 - dx - part[:, 1])
-                for channel in range(len(light)):
-                    found = np.bincount(flat, weight * own[channel], light[channel].size)
-                    light[channel] += found.reshape(size)
+                values.append(weight * own)
+        flat, values = np.concatenate(flats), np.concatenate(values, 1)
+        for channel, own in enumerate(values):
+            light[channel] += np.bincount(flat, own, light[channel].size).reshape(size)
     light /= per_sample**2
     for channel, wavelength in enumerate(wavelengths):
         spot = spot_by_integral(array, gap, wavelength, pixel, 2 * max(size))

@@ -274,9 +274,10 @@ def decode_lenslets(
     """
     views = (checked_count("views (rows)", views[0]), checked_count("views (columns)", views[1]))
     raw = np.asarray(raw, np.float64)
-    if raw.ndim != 2 or (white is not None and np.shape(white) != raw.shape):
+    white = None if white is None else np.asarray(white, np.float64)
+    if raw.ndim != 2 or (white is not None and white.shape != raw.shape):
         raise BadData(
-            f"raw and white: shapes {raw.shape}, {np.shape(white)}; wanted two frames of (rows, cols)"
+            f"raw and white: shapes {raw.shape}, {getattr(white, 'shape', None)}; wanted two frames of (rows, cols)"
         )
     planes = _fill_channels(raw, white, np.zeros((1, 1), int) if cfa is None else np.asarray(cfa))
     lattice, origin = grid.lattice, np.array(grid.origin)
@@ -314,7 +315,7 @@ def _fill_channels(raw, white, cfa):
     rows, cols = np.indices(raw.shape)
     channel = cfa[rows % cfa.shape[0], cols % cfa.shape[1]]
     tents = [1 - np.abs(np.arange(1 - n, n)) / n for n in cfa.shape]
-    weights = np.ones(raw.shape) if white is None else np.maximum(np.asarray(white, np.float64), 0)
+    weights = np.ones(raw.shape) if white is None else np.maximum(white, 0)
     planes = []
     for own in range(int(cfa.max()) + 1):
         mask = channel == own

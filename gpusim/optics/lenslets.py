@@ -209,20 +209,15 @@ def lenslet_samples(
     step = lenslets.pitch / count
     reach = gap / (2 * optics.working_f_number) + lenslets.pitch
     middle = np.add(sensor.offset, np.array(lenslets.offset) / pixel) * pixel  # from the axis [m]
-    first, counts = [], []
-    for size, chip, lens in zip(
-        (rows, cols), np.multiply(sensor.offset, pixel), middle, strict=True
-    ):
+    counts, offset = [], []
+    for axis, size in enumerate((rows, cols)):
+        lens, chip = middle[axis], sensor.offset[axis] * pixel
         edges = [(chip + sign * (size * pixel / 2 + reach)) / (1 + tilt) for sign in (-1, 1)]
         # boundaries of samples are boundaries of lenslets
         low, high = (round((edge - lens) / lenslets.pitch) for edge in edges)
-        first.append(lens + (low - 0.5) * lenslets.pitch)
         counts.append((high - low + 1) * count)
-    offset = tuple(
-        float((start + length * step / 2) / step)
-        for start, length in zip(first, counts, strict=True)
-    )
-    return LensletSamples((counts[0], counts[1]), step, offset, (rows, cols))
+        offset.append(float(lens + (low + high) / 2 * lenslets.pitch) / step)
+    return LensletSamples((counts[0], counts[1]), step, (offset[0], offset[1]), (rows, cols))
 
 
 def compare_f_numbers(lenslets: Lenslets, optics: Optics) -> list[str]:

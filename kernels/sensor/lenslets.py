@@ -310,7 +310,7 @@ def cases():
         "cells: 1e-4; the reference's waves repeat 64 pixels beyond the frame, whose tail is 5e-4"
     )
     gathered = (
-        "1e-2 of the light is a mean over lenslets, of random light that differs by up to 0.4 of the brightest: 4e-3; a "
+        "1e-2 of the light is a mean over lenslets, which differs by up to 0.4 of the brightest: 4e-3; a "
         "table of 16 samples per pixel is interpolated linearly, an error of its second derivative over 8 x 16^2"
     )
     three = (0.55, 0.45, 0.4)
