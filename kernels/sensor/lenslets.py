@@ -20,7 +20,7 @@ matrix. Samples further away than 1.25 pitches count with the mean of their cell
 along each axis, the end of the diffraction's tail, is folded back into the band. Other arrays: pixels
 gather the light of near cells by a table with 16 samples per pixel; light from afar, a hundredth, is a
 mean over lenslets; a part that is not a rectangle counts with the width of a sample. The tables are made
-in `gpusim.optics.lenslet_tables`.
+in `gpusim.optics.lenslet_tables` and `lenslet_spots`.
 
 Bytes and operations, 9 x 9 cells on 512 x 512 lenslets, 4608 x 4608 pixels, Bayer, a spot of 0.5 pixels:
 0.25 GB of rates are read, 0.17 GB of lines written and read, 0.08 GB of pixels written. The first pass has
@@ -35,14 +35,8 @@ from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.common.cases import RGGB
 from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
-from gpusim.optics.lenslet_tables import (
-    BLOCK,
-    STEPS,
-    axis_table,
-    lenslet_sources,
-    mosaic_pairs,
-    spot_tables,
-)
+from gpusim.optics.lenslet_spots import STEPS, lenslet_sources, spot_tables
+from gpusim.optics.lenslet_tables import BLOCK, axis_table, mosaic_pairs
 from gpusim.optics.lenslets import LensletPlane, lenslet_vectors
 
 

@@ -54,15 +54,15 @@ def simulate(camera, shape, cells, device):
 # Largest error over the largest value. Squares along the pixels: 2e-4 of the diffraction along each axis is folded
 # back, and the frame is a corner cut out of 64 x 64 lenslets, so that all of it should be outside: 4e-4; cells far
 # away have their mean weight, about 2e-4; the rays' grid of 1/24 pixel widens spots by 1.4e-4 of their second
-# derivative. Other arrays: 1e-2 of the light is a mean over lenslets of light with a contrast of 0.3, 3e-3; rays find
+# derivative. Other arrays: 1e-2 of the light is a mean over lenslets of light with a contrast of 0.2, 2e-3; rays find
 # the borders of lenslets to 1e-3 of their area.
 ARRAYS = {
     "square": ({}, 1e-3),
     "square, filled to 0.75": ({"fill": 0.75, "offset": (1e-6, -2e-6)}, 1e-3),
     "square, focused": ({"gap": 1.3 * 4 * PITCH}, 1e-3),
-    "hexagonal": ({"layout": "hexagonal"}, 4e-3),
-    "square, turned": ({"rotation": 0.2}, 4e-3),
-    "hexagonal, turned": ({"layout": "hexagonal", "rotation": -0.1}, 4e-3),
+    "hexagonal": ({"layout": "hexagonal"}, 3e-3),
+    "square, turned": ({"rotation": 0.2}, 3e-3),
+    "hexagonal, turned": ({"layout": "hexagonal", "rotation": -0.1}, 3e-3),
 }
 
 
