@@ -28,7 +28,7 @@ def trace(rates, cfa, camera, samples, wavelengths, per_cell=6, per_sample=2):
     cells = rates.shape[:2]
     rows, cols = samples.shape
     out = np.zeros(samples.pixels)
-    margin = 16  # light that lands beside the frame comes back by diffraction
+    margin = 16  # light that lands outside the frame comes back by diffraction
     size = [(n + 2 * margin) * FINE for n in samples.pixels]
     light = np.zeros((rates.shape[2], *size))
     grid = np.stack(np.meshgrid(np.arange(rows), np.arange(cols), indexing="ij"), -1)

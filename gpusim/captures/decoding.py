@@ -252,7 +252,7 @@ def decode_lenslets(
     with the distance, and with the white frame, so that dark pixels between lenslets do not count.
 
     Square grids along the pixels give a sample per lenslet. Other grids are resampled to squares along the pixels:
-    lenslets of turned square grids linearly between four neighbours, a pitch apart; those of hexagonal grids between
+    lenslets of turned square grids linearly between four neighbours, a pitch apart; lenslets of hexagonal grids between
     three, 0.866 pitches apart.
 
     Args:

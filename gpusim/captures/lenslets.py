@@ -14,8 +14,8 @@ from gpusim.optics.lenslets import LensletSamples, lenslet_plane
 def apply_lenslets(device: Device, rates: Any, camera: Camera, samples: LensletSamples) -> Any:
     """Return the light that every pixel behind the lenslets gets.
 
-    The sum over pixels is the light of the samples within clear apertures, times the pixels' fill factor, without what
-    falls beside the sensor.
+    The sum over pixels is the light of the samples within clear apertures, times the pixels' fill factor, without light
+    that falls outside the sensor.
 
     Args:
         device: The device that computes.

@@ -44,7 +44,7 @@ class Lenslets:
         layout: "square", or "hexagonal": neighbours in a row a pitch apart, rows sqrt(3) / 2 pitches apart.
         rotation: Direction of the rows of lenslets, from columns of pixels towards rows [rad].
         offset: Centre of the lenslet nearest to the middle of the pixel grid, relative to it, (rows, cols) [m].
-        fill: Width of the clear aperture over the pitch [1]. Light beside it is lost.
+        fill: Width of the clear aperture over the pitch [1]. Light outside it is lost.
 
     Raises:
         OutOfRange: A number is outside its range.

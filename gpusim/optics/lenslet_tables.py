@@ -1,13 +1,13 @@
 """Tables of the stage `sensor.lenslets`: how light that passes a lenslet is shared by the pixels.
 
 Light from one cell of the pupil through one part of a lenslet lands on the image of the cell, widened by the image of
-the part, and blurred by the lenslet's diffraction: the squared transform of its clear aperture. A pixel collects what
-falls on its aperture. In frequencies nu [1/pixel] this is the product
+the part, and blurred by the lenslet's diffraction: the squared transform of its clear aperture. A pixel collects
+light on its aperture. In frequencies nu [1/pixel] this is the product
 
     sinc(b nu) sinc(d nu) sinc(a nu) A(nu w),
 
-with b the width of the cell's image, d that of the part, a the pixel's aperture, and A the autocorrelation of the clear
-aperture in units of its width: it ends at a finite frequency, so the transform is exact.
+with b the width of the cell's image, d the width of the part's image, a the pixel's aperture, and A the autocorrelation
+of the clear aperture in units of its width: it ends at a finite frequency, so the transform is exact.
 """
 
 import warnings
@@ -168,7 +168,7 @@ def _land_axis(plane, axis, samples, cells):
     """
     origin, start, middle = plane.origin[axis], plane.start[axis], plane.axis[axis]
     edge = start + plane.step * (np.arange(samples) - 0.5)
-    slack = 1e-6 * plane.step  # boundaries of samples may be those of lenslets
+    slack = 1e-6 * plane.step  # boundaries of samples may be boundaries of lenslets
     low = np.rint((edge + slack - origin) / plane.pitch)
     parts = int((np.rint((edge + plane.step - slack - origin) / plane.pitch) - low).max()) + 1
     centre = origin + plane.pitch * (low[:, None] + np.arange(parts))

@@ -12,7 +12,7 @@ A sample is a square of side `step`. Its part within the clear aperture of a len
 centre of gravity x. The part's light of cell (j, i), whose middle is s, lands around X(x, s), evenly over
 the image of the cell, 2 radius / cells wide, widened by the image of the part, |1 + tilt - power| times
 as wide as the part, and by the lenslet's diffraction: the squared transform of its clear aperture at the
-channel's mean wavelength. A pixel gets what falls on its aperture in the channel of its filter. The sum
+channel's mean wavelength. A pixel gets the light on its aperture in the channel of its filter. The sum
 over all pixels, if they fill their cells, is the light within the clear apertures.
 
 Squares along the pixels: rows and columns are independent, and each pass is a product with a banded
@@ -193,7 +193,7 @@ def _gather_cells(device, rates, cfa, plane, shape):
 
 
 def _bundle(device, launch, light, tables):
-    """Return the light of each lenslet, shape (planes, lenslets), from that of samples."""
+    """Return the light of each lenslet, shape (planes, lenslets), from their shares of samples."""
     sample, share, _ = tables.parts
     (planes, samples), (count, parts) = light.shape, sample.shape
     out = device.empty((planes, count))

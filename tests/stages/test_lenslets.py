@@ -98,7 +98,7 @@ def test_rays_and_waves(name):
     ],
 )
 def test_light_is_kept(numbers, spot, tolerance, device):
-    """Light in the middle of a large dark frame: pixels add up to what passes clear apertures."""
+    """Light in the middle of a large dark frame: pixels add up to the light that passes clear apertures."""
     count, size = numbers.get("samples", 1), 201
     shape = (31 * count, 31 * count)
     plane = make_plane(7.0, 3.5, spots=(spot,), shape=shape, **numbers)
