@@ -34,9 +34,10 @@ def light_field(
     """Return a scene as pinholes in the entrance pupil of a camera see it.
 
     A sample at the distance D is displaced by -d / (2 N_w) (x, y) at the sensor, see `LightField`.
-    Nearer things hide farther ones. Behind them the scene's layers are seen if it has any; a map of
-    distances is cut into surfaces at its jumps, and each continues behind the nearer ones with the
-    light and the distance of its nearest sample. A note of each view says how much of it is
+    As for its blur, the pitch of the camera's pixels makes samples of it, whatever the scene's field
+    of view. Nearer things hide farther ones. Behind them the scene's layers are seen if it has any; a
+    map of distances is cut into surfaces at its jumps, and each continues behind the nearer ones with
+    the light and the distance of its nearest sample. A note of each view says how much of it is
     continued.
 
     Samples are interpolated by cubic splines. A Cube and a Basis keep their form. Materials and

@@ -83,7 +83,7 @@ def depth_from_views(
         distances: Nearest and farthest distance [m]; None: from half the object distance to
             infinity.
         method: "correspondence" or "contrast".
-        window: Side of the window [pixel], odd.
+        window: Side of the window [pixel]; an even one is made one pixel larger.
         aperture: As for `refocus`.
         device: As for `refocus`.
 
@@ -163,7 +163,7 @@ def all_in_focus(
 
     Args:
         views: The views.
-        depth: Distances of `depth_from_views`; None: computed from these views.
+        depth: Distances of `depth_from_views`; None: computed from all views.
         distances: Range of distances, as for `depth_from_views`.
         aperture: As for `refocus`.
         device: As for `refocus`.

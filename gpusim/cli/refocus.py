@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gpusim.cli.options import DEVICE_HELP, Options, flag, number, option, reads
 from gpusim.domain.errors import Conflict, OutOfRange, UnknownName
@@ -96,13 +96,13 @@ def refocus(request: RefocusRequest) -> int:
     for path in (request.out, request.depth, request.page):
         check_output(path)
     views, device = open_views(request.views), open_device(request.device)
-    more = {"aperture": request.aperture, "device": device}
+    more: dict[str, Any] = {"aperture": request.aperture, "device": device}
     depth = None
     if request.depth or request.all_in_focus:
         from gpusim.captures.view_depth import depth_from_views
         from gpusim.io.archive import write_archive
 
-        depth = depth_from_views(views, distances=request.range, **more)
+        depth = depth_from_views(views, distances=request.range, device=device)
         if request.depth:
             write_archive(
                 request.depth,
@@ -141,6 +141,8 @@ def check_request(request: RefocusRequest) -> None:
             request.refuse(name, "--all-in-focus focuses each pixel at its own distance")
         if not request.out:
             request.refuse(name, "it is of -o, which is missing", f"give -o, or leave {name} out")
+    if not (request.out or request.page):
+        request.refuse("aperture", "it is of -o and --page; distances are of all views")
     if not request.out:
         request.refuse("all_in_focus", "it is of -o, which is missing", "give -o")
     if not (request.all_in_focus or request.depth or request.page):

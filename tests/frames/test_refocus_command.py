@@ -78,6 +78,7 @@ def test_files_have_the_pictures_of_the_functions(views, stored):
         ("-o a.png --range 1,2", "--range"),
         ("--depth d.npz --slope 2", "--slope: it is of -o"),
         ("--depth d.npz --all-in-focus", "--all-in-focus: it is of -o"),
+        ("--depth d.npz --aperture 0.5", "--aperture: it is of -o and --page"),
         ("-o a.npy --white 2", "--white"),
         ("--page p.png", "format of a page"),
         ("--page p.html --range 2,2.000001 --aperture 0.01", "one cell"),

@@ -22,7 +22,8 @@ def patches():
         for b in range(ACROSS):
             place = np.s_[:, :, a * PATCH : (a + 1) * PATCH, b * PATCH : (b + 1) * PATCH]
             slope = thin_lens_slope(distances[a, b])
-            values[place] = plane_views(Waves(random), slope, (9, 9), (PATCH, PATCH))
+            waves = Waves(random, count=10)
+            values[place] = plane_views(waves, slope, (9, 9), (PATCH, PATCH))
     return values, distances
 
 

@@ -7,6 +7,7 @@ light                         (T, S), only if the pupil cuts cells
 """
 
 import os
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def open_views(path: str | os.PathLike) -> ViewImages:
         stored.require(("values", *FIELDS.values()))
         stored.shape("values", wanted=(None, None, None, None, None))
         stored.require_memory(COPIES)
-        numbers = {}
+        numbers: dict[str, Any] = {}
         for field, key in FIELDS.items():
             stored.shape(key, wanted=())
             numbers[field] = float(stored[key])
