@@ -31,7 +31,7 @@ _NAMES = {
     "captures.moving": ("expose_moving", "expose_motion"),
     "captures.parallax": ("move_camera",),
     "captures.pinholes": ("light_field",),
-    "captures.refocus": ("focus_stack", "refocus", "view_images"),
+    "captures.refocus": ("focus_stack", "refocus"),
     "captures.slices": ("refocus_by_slices",),
     "captures.lenslet_frames": ("LensletCapture", "LensletExposure", "expose_lenslets"),
     "captures.views": ("ViewCapture", "Views", "expose_views"),
@@ -110,7 +110,6 @@ if TYPE_CHECKING:
     from gpusim.captures.parallax import move_camera as move_camera
     from gpusim.captures.pinholes import light_field as light_field
     from gpusim.captures.refocus import focus_stack as focus_stack, refocus as refocus
-    from gpusim.captures.refocus import view_images as view_images
     from gpusim.captures.slices import refocus_by_slices as refocus_by_slices
     from gpusim.captures.lenslet_frames import LensletCapture as LensletCapture
     from gpusim.captures.lenslet_frames import LensletExposure as LensletExposure

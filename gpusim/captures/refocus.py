@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 
 from gpusim.backends import Device, open_device
-from gpusim.captures.views import Views
 from gpusim.domain.errors import BadData, Conflict, DoesNotFit, OutOfRange
 from gpusim.domain.memory import require_memory
 from gpusim.domain.progress import announce_each
@@ -54,31 +53,6 @@ def refocus(
     if distance is not None:
         slope = float(views.slope_at(distance))
     return focus_stack(views, slopes=[slope or 0.0], aperture=aperture, device=device)[0]
-
-
-def view_images(views: Views, seconds: float = 1.0) -> ViewImages:
-    """Return simulated views as pictures of one brightness, for refocusing.
-
-    Args:
-        views: Views of `expose_views`.
-        seconds: Exposure time [s].
-
-    Returns:
-        Mean electrons of each channel, over the light of the cell [e-]; pictures of cells without
-        light are 0.
-
-    Raises:
-        BadData: `views` are no Views.
-        OutOfRange: The time is not positive.
-    """
-    if not isinstance(views, Views):
-        raise BadData(f"views: {type(views).__name__}, wanted Views of expose_views")
-    if not 0 < seconds < np.inf:
-        raise OutOfRange("seconds", seconds, "more than 0 s")
-    camera, light = views.simulator.camera, views.areas
-    scale = np.divide(seconds, light, out=np.zeros_like(light), where=light > 0)
-    values = np.moveaxis(np.asarray(views), 2, -1) * scale[..., None, None, None].astype(np.float32)
-    return ViewImages.of(values, camera, light=light, name=views.scene.name)
 
 
 def focus_stack(
