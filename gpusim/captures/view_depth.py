@@ -31,7 +31,7 @@ class ViewDepth:
 
     Attributes:
         slope: Displacement in the views, float32, shape (rows, cols) [pixel per radius].
-        uncertainty: Standard deviation of the slope by the views' own noise, infinite where it is
+        uncertainty: Standard deviation of the slope by the views' own noise, infinite if it is
             not known, shape (rows, cols); NaN for the method "contrast", which does not know it.
         distance: Distance from the lens [m], shape (rows, cols).
         nearest: Distance at one standard deviation nearer, shape (rows, cols) [m].
@@ -64,7 +64,7 @@ def depth_from_views(
     mean, both averaged over a window. The slope is the vertex of a parabola through the best value
     and its two neighbours.
 
-    The uncertainty of "correspondence" is that of a least-squares fit. The variance C at the best
+    "correspondence" has the uncertainty of a least-squares fit. The variance C at the best
     slope, times n / (n - 1), is the noise of n views, and C'' twice the mean square of the change
     of a view with the slope, so that over a window of w pixels in c channels
 

@@ -159,7 +159,7 @@ class Archive(Mapping):
 
 
 class ArchivePart(Mapping):
-    """The arrays whose names begin with a prefix, by the rest; for other names those of the whole.
+    """The arrays whose names begin with a prefix, by the rest; other names are of the whole archive.
 
     whole: an open archive or a part of one. prefix: begins the names.
     """

@@ -2,15 +2,15 @@
 
 Ports: views (views, planes, rows, cols) float32, places (views, 2) float32 [radius of the pupil], weights
 (views,) float32, slopes (slopes,) float32 [pixel per radius] -> (slopes, moments planes, rows, cols) float32 in
-the views' unit: the planes of the mean, and those of the variance in its square.
+the views' unit: the planes of the mean, then the planes of the variance, in its square.
 
 A thing whose displacement in each view is its slope times the view's place (y, x) is in focus in
 
     out(p) = sum_v weight_v view_v(p + slope place_v) / sum_v weight_v.
 
-Weights make the aperture: those of a disc give the picture of a lens with that aperture. The second
+Weights make the aperture: a disc of weights gives the picture of a lens with that aperture. The second
 moment, if it is wanted, is the variance of view_v(p + slope place_v) over the views, with the same
-weights: least where all views show the same. Views are interpolated by the cubic of Keys with a =
+weights: least if all views show the same. Views are interpolated by the cubic of Keys with a =
 -1/2, 4 x 4 taps, and continue with their edge values. A wave of w rad per pixel keeps, in the mean
 over fractions of a pixel, all but about w^4 / 82 of its amplitude along each axis: 0.5 % is lost at eight
 pixels per period, 6 % at four. Linear interpolation would lose w^2 / 12, 5 % and 19 %.

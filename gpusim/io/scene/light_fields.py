@@ -4,7 +4,7 @@ An archive has the keys of a scene's archive (`gpusim.io.scene.npz`), and
 
     views                  (2,) rows and columns of views
     radius_m, object_distance_m, light_field_name   as in LightField
-    view_JJ_II.KEY         key of view (J, I), where it differs from the key without prefix
+    view_JJ_II.KEY         key of view (J, I), if it differs from the key without prefix
     view_JJ_II.layer_N.KEY samples, `alpha` and `depth_m` of layer N of the view, the nearest first
 
 A folder has one file for each view, view_JJ_II.exr, with rows and columns from 0 or from 1, and may have
