@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from gpusim.domain.display import Display
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, Conflict, OutOfRange
 from gpusim.domain.guided import BUILT_IN, built_in_name
 from gpusim.domain.labels import Tabled
 from gpusim.domain.mosaics import bayer_roles
@@ -37,6 +37,7 @@ class Camera(Tabled):
         notes: What of its files is not used; reports repeat them.
 
     Raises:
+        Conflict: The point spreads of dual pixels are measured.
         OutOfRange: The settings of two parts exclude each other.
         UnknownName: A learned filter table is for another mosaic.
     """
@@ -52,6 +53,12 @@ class Camera(Tabled):
 
     def __post_init__(self):
         self._check_mosaic()
+        if self.sensor.dual is not None and self.optics.psf is not None:
+            raise Conflict(
+                "sensor.dual",
+                "measured point spreads hold no wave, which pixels divide by its direction",
+                'set optics.model = "diffraction", or leave dual out',
+            )
         if self.processor.white_balance == "red-blue" and not {*"RB"} <= {*self.sensor.channels}:
             raise OutOfRange(
                 "processor.white_balance",
@@ -97,7 +104,7 @@ class Camera(Tabled):
                 sections, write the section too: `with_(**{"processor.white": [2, 1, 1.5]})`. Values
                 have the form of a camera file. A value that a file names or tabulates is passed as
                 the object, in the unit of the field: Spectrum, Pupil, PointSpread, FilterTable,
-                Microlens. Whole parts are accepted too (optics, sensor, processor, display), and
+                Microlens, DualPixels. Whole parts are accepted too (optics, sensor, processor, display), and
                 are replaced before other changes.
 
         Returns:

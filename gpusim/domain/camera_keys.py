@@ -9,6 +9,7 @@ import numpy as np
 from gpusim.domain.calibration import FISHEYE, PINHOLE, Calibration
 from gpusim.domain.display import Display
 from gpusim.domain.distortion import BrownConrady, RadialPolynomial, RadialTable
+from gpusim.domain.dual import DualPixels
 from gpusim.domain.errors import BadData, BadFile, UnknownName, format_value, near
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.lenslets import Lenslets
@@ -18,6 +19,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor
 from gpusim.domain.pupil import Pupil
 from gpusim.domain.sensor import Microlens, Sensor
+from gpusim.domain.spectrum import Spectrum
 
 
 class _Wanted(Exception):
@@ -273,6 +275,22 @@ def _microlens(value):
     )
 
 
+def _number_or_table(value):
+    if type(value) in (int, float):
+        return _number()(value)
+    if type(value) is not dict or value.keys() != {"wavelengths_nm", "values"}:
+        raise _Wanted("a number, or a table of wavelengths_nm and values")
+    return Spectrum(
+        *(np.array(_numbers()(value[key]), np.float64) for key in ("wavelengths_nm", "values"))
+    )
+
+
+def _phase_pixel(value):
+    if type(value) is not list or [type(item) for item in value] != [int, int, str]:
+        raise _Wanted('a list of row, column and half, such as [0, 1, "left"]')
+    return tuple(value)
+
+
 def _map(value):
     if (
         type(value) is not list
@@ -287,6 +305,22 @@ def _wholes(value):
     if type(value) is not list or len(value) != 2 or any(type(item) is not int for item in value):
         raise _Wanted("a list of 2 whole numbers")
     return tuple(value)
+
+
+_dual = _table(
+    DualPixels,
+    {
+        "split": ("split", _text),
+        "transition": ("transition", _number()),
+        "reference_f_number": ("reference_f_number", _number()),
+        "crosstalk": ("crosstalk", _number_or_table),
+        "misalignment_deg": ("misalignment", _number(180 / np.pi)),
+        "follows_chief_ray": ("follows_chief_ray", _yes_no),
+        "sparse": ("sparse", _text),
+        "cell": ("cell", _wholes),
+        "places": ("places", _list(_phase_pixel, "places")),
+    },
+)
 
 
 def _inverse(value):
@@ -339,6 +373,7 @@ _SENSOR = {
     "pixel_pitch_um": ("pixel_pitch", _number(MICRO)),
     "microlens": ("microlens", _microlens),
     "lenslets": ("lenslets", _lenslets),
+    "dual": ("dual", _dual),
     "cfa": ("cfa", _mosaic),
     "photodetector_size": ("photodetector", _numbers(2)),
     "photodetector_centre": ("centre", _numbers(2)),

@@ -7,6 +7,7 @@ import numpy as np
 from gpusim.domain.above import call_above
 from gpusim.domain.camera_keys import SECTIONS, value_of
 from gpusim.domain.distortion import Distortion
+from gpusim.domain.dual import DualPixels
 from gpusim.domain.errors import BadData, UnknownName
 from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.filters import Filters
@@ -35,11 +36,12 @@ OBJECTS = {
     "calibration": Distortion,
     "microlens": Microlens,
     "lenslets": Lenslets,
+    "dual": DualPixels,
     "auto_exposure": AutoExposure,
     "table": FilterTable,
     "network": Network,
 }
-NONE = ("psf", "distortion", "microlens", "lenslets", "table", "network")  # fields that None resets
+NONE = ("psf", "distortion", "microlens", "lenslets", "dual", "table", "network")  # fields that None resets
 WAVEFRONT = {"zernike", "heights", "seidel", "reference"}
 # Fields that a noise profile replaces
 GAINS = {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}

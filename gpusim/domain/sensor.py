@@ -5,8 +5,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gpusim.domain.dual import DualPixels
 from gpusim.domain.errors import (
     BadData,
+    Conflict,
     Interval,
     Limits,
     OutOfRange,
@@ -147,11 +149,13 @@ class Sensor:
         analog_offset: Electrons added before the converter [e-].
         black_level: Digital number of a dark pixel [DN].
         noise: Noise of the sensor.
+        dual: Photodiodes under one microlens, or sparse phase-detection pixels, or None.
         filters: Curves of the parts that `qe` is the product of, by letter, if a camera file gave
             them: `Camera.with_(cfa=...)` takes channels from them.
 
     Raises:
         BadData: Settings have the wrong type or shape, or exclude each other.
+        Conflict: Sparse phase-detection pixels are stacked or binned.
         OutOfRange: A number is outside its range.
         UnknownName: The binning mode is not known.
     """
@@ -182,6 +186,7 @@ class Sensor:
     analog_offset: float = 0.0
     black_level: int = 0
     noise: Noise = field(default_factory=Noise)
+    dual: DualPixels | None = None
     filters: Filters | None = field(
         default=None, repr=False, compare=False, metadata={"digest": False}
     )
@@ -209,6 +214,19 @@ class Sensor:
         self._check_pixel()
         self._check_readout()
         self._check_mosaic()
+        self._check_dual()
+
+    def _check_dual(self):
+        if self.dual is not None and not isinstance(self.dual, DualPixels):
+            raise BadData(f"sensor.dual: {type(self.dual).__name__}, wanted a gpusim.DualPixels")
+        if self.dual is None or not self.dual.sparse:
+            return
+        if self.stacked or self.binning != (1, 1):
+            raise Conflict(
+                "sensor.dual.sparse",
+                "phase-detection pixels are neither stacked nor binned",
+                "divide all pixels, or leave out stacked and binning",
+            )
 
     def _check_pixel(self):
         if self.photodetector is not None:

@@ -77,6 +77,34 @@ def _opening_amplitude(pupil, opening, shape, values, turn, halves):
     return found * np.float32(STEP * np.sqrt(by * bx / (np.pi * pupil.area)))
 
 
+def amplitude_at(pupil: Pupil, wave: np.ndarray, rows: np.ndarray, cols: np.ndarray) -> np.ndarray:
+    """Return the amplitude at places of the image; the integral of the square of its size over X and Y is 1.
+
+    Args:
+        pupil: The pupil.
+        wave: Coefficients [i, j] of x^i y^j of the wavefront [waves].
+        rows: Y of the rows.
+        cols: X of the columns.
+
+    Returns:
+        complex64 (rows, columns).
+    """
+    wave, turn = np.asarray(wave, np.float64), fastest_turn(wave)
+    down, across = (max(float(np.abs(at).max()) + turn, 4.0) for at in (rows, cols))
+    v, mass, ends, amplitude = masked_rows(pupil, float(np.hypot(down, across)))
+    step, u = even_places(2 * int(np.ceil(FINE * across)) + ORDER)
+    weights = _weigh(ends, amplitude, u, step) * (mass * step)[:, None]
+    powers = np.arange(len(wave))
+    with one_core():
+        path = v[:, None] ** powers @ (wave.T @ u ** powers[:, None])
+        path -= np.rint(path)
+        field = (weights * np.exp(2j * np.pi * path)).astype(np.complex64)
+        from_v = np.exp(2j * np.pi * np.outer(rows, v)).astype(np.complex64)
+        from_u = np.exp(2j * np.pi * np.outer(u, cols)).astype(np.complex64)
+        found = from_v @ (field @ from_u)
+    return found * np.float32(1 / np.sqrt(np.pi * pupil.area))
+
+
 def _weigh(ends, amplitude, u, step):
     """Return the weights of even samples of rows (R, samples) whose pieces have these ends (R, n + 1), (R, n)."""
     jumps = np.diff(amplitude, axis=1, prepend=0, append=0)  # of the amplitude at each end

@@ -7,6 +7,7 @@ kept: the transfer function errs by less than c q f, f <= sqrt(1/2) cycle per pi
 """
 
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import scipy.fft
@@ -63,7 +64,9 @@ def _probe(pupil, wave, farthest):
     return 2 * float(np.abs(rays - transfer(pupil, wave[None], x, y, error=1e-4)[0]).max())
 
 
-def ray_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float) -> np.ndarray:
+def ray_kernel(
+    pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: float, share: Any = None
+) -> np.ndarray:
     """Return the light of rays in every pixel around a point's image, (size, size), of 1 over the aperture's area.
 
     Args:
@@ -75,24 +78,25 @@ def ray_kernel(pupil: Pupil, wave, q, shift, size: int, aperture, spots, soft: f
         aperture: Height and width over which each pixel is integrated [pixel].
         spots: Halves of the distances of a low-pass filter's images, (rows, cols) [pixel].
         soft: Standard deviation of a diffuser [pixel].
+        share: Hashable, whose `of(y, x)` is the part of the light that counts at points of the pupil; None: all.
     """
-    first = -(size // 2)
-    return _light(pupil, wave, q, shift, (size, size), (first, first), aperture, spots, soft, False)
+    shape, first = (size, size), (-(size // 2),) * 2
+    return _light(pupil, wave, q, shift, shape, first, aperture, spots, soft, False, share)
 
 
-def _light(pupil, wave, q, shift, shape, first, aperture, spots, soft, is_periodic):
+def _light(pupil, wave, q, shift, shape, first, aperture, spots, soft, is_periodic, share=None):
     """Light of rays in pixels of this shape, the first of them at `first`; or in a period's pixels."""
     # one optical path moves the rays of all wavelengths alike
     moves = np.round(2 * q * wave, 10)
     known = moves.tobytes(), moves.shape
     ends = (tuple(float(one) for one in both) for both in (shift, aperture, spots))
-    return _count(pupil, *known, *ends, float(soft), shape, first, is_periodic)
+    return _count(pupil, *known, *ends, float(soft), shape, first, is_periodic, share)
 
 
 @lru_cache(maxsize=8)
-def _count(pupil, values, form, shift, aperture, spots, soft, shape, first, is_periodic):
+def _count(pupil, values, form, shift, aperture, spots, soft, shape, first, is_periodic, share):
     """See `_light`; values: see `_bins`."""
-    bins, width = _bins(pupil, values, form)
+    bins, width = _bins(pupil, values, form, share)
     middle = (np.arange(len(bins)) - (len(bins) - 1) / 2) * width
     down, across = (
         _shares(middle + move, width, one, spot, soft, count, start, is_periodic)
@@ -124,15 +128,15 @@ def _overlap(distance, aperture, width, soft):
 
 
 @lru_cache(maxsize=8)
-def _bins(pupil, values, shape):
+def _bins(pupil, values, shape, share=None):
     """Light of rays in square bins, (n, n), of 1 in all, and their width [pixel].
 
-    values: of 2 q times the wavefront's coefficients, whose slopes move the rays.
+    values: of 2 q times the wavefront's coefficients, whose slopes move the rays. share: see `ray_kernel`.
     """
     moves = np.frombuffer(values).reshape(shape)
     along = [polyder(moves, axis=k) for k in (0, 1)]
     if not any(one.any() for one in along):
-        return np.ones((1, 1)), 1e-9
+        return np.full((1, 1), 1.0 if share is None else _mean_share(pupil, share)), 1e-9
     edge = np.linspace(-1, 1, 65)
     disc = np.hypot(edge[:, None], edge) <= 1
     slopes = [np.abs(polygrid2d(edge, edge, one).T[disc]).max() for one in along]
@@ -146,6 +150,8 @@ def _bins(pupil, values, shape):
     bins = np.zeros(count * count)
     inside = np.nonzero(open_)
     light = open_[inside] / open_.sum()
+    if share is not None:
+        light = light * share.of(u[:, None], u)[inside]
     place = [-polygrid2d(u, u, one).T[inside] / width + (count - 1) / 2 for one in reversed(along)]
     first = [np.clip(np.floor(one).astype(int), 0, count - 2) for one in place]
     rest = [np.clip(one - low, 0, 1) for one, low in zip(place, first, strict=True)]
@@ -154,6 +160,13 @@ def _bins(pupil, values, shape):
             share = light * np.abs(1 - dy - rest[0]) * np.abs(1 - dx - rest[1])
             bins += np.bincount((first[0] + dy) * count + first[1] + dx, share, count * count)
     return bins.reshape(count, count).astype(np.float32), width
+
+
+def _mean_share(pupil, share):
+    """Part of the light of the whole pupil that counts."""
+    open_ = coverage(pupil, LEAST_RAYS)
+    u = (np.arange(LEAST_RAYS) + 0.5) / LEAST_RAYS * 2 - 1
+    return (open_ * share.of(u[:, None], u)).sum() / open_.sum()
 
 
 def ray_tables(pupil: Pupil, waves, q, rows, cols, aperture, spots, soft, shift) -> np.ndarray:

@@ -3,7 +3,7 @@
 `open_lens` makes the object for the settings of a camera's optics. Everything else calls its methods (`Lens`) and does
 not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MaskedLens` (`gpusim.optics.masked_lens`)
 at one with a mask, `MeasuredLens` has point spreads that were measured or traced by a ray tracer, and `PointLens` does
-not blur.
+not blur. `SplitLens` is what dual pixels see of a pupil.
 
 A field point is (y, x), 1 the distance of the frame's corner from the axis, in the direction of rows and columns.
 """
@@ -19,6 +19,7 @@ import scipy
 import scipy.special
 
 from gpusim.domain.camera import Camera
+from gpusim.domain.dual import DiodeOptics
 from gpusim.domain.interpolation import spline_weights
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
@@ -40,6 +41,7 @@ from gpusim.optics.sampled import (
     window,
 )
 from gpusim.optics.series import points_at
+from gpusim.optics.split_lens import SplitLens
 
 # [nm] and its q, wavelength x f-number over the distance of samples, below which rays are counted: other tables are
 # sums over thousands of replicas
@@ -151,6 +153,10 @@ class Lens(Protocol):
     @property
     def is_adjustable(self) -> bool:
         """Whether f-number and focus may be changed."""
+
+    @property
+    def has_pixel_windows(self) -> bool:
+        """Whether kernels are integrated over whole pixels, whatever the distance of the samples."""
 
     @property
     def fixed_distance(self) -> str:
@@ -319,6 +325,7 @@ class _OnGrid:
     is_pointlike = False
     is_adjustable = True
     has_point_kernels = True
+    has_pixel_windows = False
     distances = None
     distance_model = ""
 
@@ -462,7 +469,7 @@ class PupilLens(_OnGrid):
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
         waves = self.waves(self.nanometres(q), distance=distance)
-        if self._by_rays(waves):
+        if self.counts_rays(waves):
             return self._ray_tables(waves, q, rows, cols, stages)
         if self.is_airy and distance is None and not any(self.displacement):
             return stages.airy(q, self.aperture, rows, cols)
@@ -478,7 +485,7 @@ class PupilLens(_OnGrid):
     def table_parts(self, q, rows, cols, stages) -> tuple | None:
         """See `Lens`."""
         waves = self.waves(self.nanometres(q))
-        if self._by_rays(waves) or not is_too_costly(self.optics.pupil, waves, stages.affordable):
+        if self.counts_rays(waves) or not is_too_costly(self.optics.pupil, waves, stages.affordable):
             return None
         focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
         first, *settings = self._sampling_of(waves, q)
@@ -531,7 +538,7 @@ class PupilLens(_OnGrid):
     def table_error(self, wavelengths, distance=None) -> float:
         """See `Lens`."""
         waves = self.waves(wavelengths, distance=distance)
-        if self._by_rays(waves):
+        if self.counts_rays(waves):
             return ray_error(self.optics.pupil, waves, self.q(wavelengths))
         if not is_too_costly(self.optics.pupil, waves):
             return 0.0
@@ -541,7 +548,7 @@ class PupilLens(_OnGrid):
         """See `Lens`. The energies are exact integrals, without a diffuser."""
         optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
         waves = self.waves(wavelengths, *polar(place), distance=float(spot[4]) or None)
-        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement) + spot[2:4]
+        shifts = self.image_shifts(wavelengths, place) + spot[2:4]
         found, centres = np.empty((len(waves), len(at), len(at))), np.empty((len(waves), 2))
         for own, centre, q, wave, shift in zip(
             found, centres, self.q(wavelengths), waves, shifts, strict=True
@@ -558,7 +565,7 @@ class PupilLens(_OnGrid):
         """Whether samples are so much coarser than lambda N that rays are counted."""
         return float(self.q(MIDDLE)) < COARSE_Q
 
-    def _by_rays(self, waves) -> bool:
+    def counts_rays(self, waves) -> bool:
         """Whether tables are of rays: samples are coarse, or waves are more than are worth diffracting."""
         return self.is_coarse or max(map(fastest_turn, waves)) > 2 * LONGEST_WAVEFRONT
 
@@ -571,7 +578,7 @@ class PupilLens(_OnGrid):
         """See `Lens`."""
         optics, q = self.optics, self.q(wavelengths)
         waves = self.waves(wavelengths, *polar(place), distance=distance)
-        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+        shifts = self.image_shifts(wavelengths, place)
         spots, soft = self.spots, optics.diffuser / self.pitch
         settings = size, tuple(self.aperture), spots, soft
         return _kernels(optics.pupil, waves, q, shifts, self.is_coarse, *settings)
@@ -579,7 +586,7 @@ class PupilLens(_OnGrid):
     def sketches(self, wavelengths, radius) -> np.ndarray:
         """See `Lens`."""
         waves, q = self.waves(wavelengths), self.q(wavelengths)
-        draw = coarse_kernel if self._by_rays(waves) else sketched_kernel
+        draw = coarse_kernel if self.counts_rays(waves) else sketched_kernel
         shift, soft = tuple(-np.array(self.displacement)), self.optics.diffuser / self.pitch
         settings = shift, 2 * radius + 1, self.aperture, self.spots, soft
         # one after the other: starting threads takes longer
@@ -588,6 +595,10 @@ class PupilLens(_OnGrid):
             for wave, one in zip(waves, q, strict=True)
         ]
         return np.array(made, np.float32)
+
+    def image_shifts(self, wavelengths, place) -> np.ndarray:
+        """Return displacements of images by lateral colour and by the apertures, (L, 2) (rows, cols) [sample]."""
+        return self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
     def _colour_shifts(self, wavelengths, place):
         """Displacement of a point's image by lateral colour, (L, 2) [sample]."""
@@ -598,14 +609,14 @@ class PupilLens(_OnGrid):
         """See `Lens`. Kernels that end hold only part of the light. A ray meets the image at -2 q grad W."""
         waves = self.waves(wavelengths, *polar(place), distance=distance)
         rays = -2 * self.q(wavelengths)[:, None] * mean_slopes(self.optics.pupil, waves)
-        return rays + self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+        return rays + self.image_shifts(wavelengths, place)
 
     def moments(self, wavelengths, place, distance=None, size=1) -> np.ndarray:
         """See `Lens`."""
         q, light = self.q(wavelengths), self.centroids(wavelengths, place, distance)
         if q.min() >= 1:
             return light
-        shifts = self._colour_shifts(wavelengths, place) - np.array(self.displacement)
+        shifts = self.image_shifts(wavelengths, place)
         if self.is_coarse:  # the kernels hold all light
             rays = self.spread(wavelengths, float(np.hypot(*place)), distance)
             size = 2 * int(np.ceil(rays + np.abs(shifts).max())) + 3
@@ -860,12 +871,15 @@ def open_lens(
     if optics.psf is not None:
         field = tuple(n / 2 / corner for n in shape)
         return MeasuredLens(optics, optics.psf, pitch, (height, width), field, displacement, axis)
+    if isinstance(optics, DiodeOptics) and optics.diode is not None:
+        height, width = (side / pitch for side in optics.diode.window)
     settings = optics, pitch, (height, width), corner, displacement, axis
+    whole = PupilLens(*settings)
     if optics.pupil.mask is not None:
         from gpusim.optics.masked_lens import MaskedLens
 
-        return MaskedLens(*settings)
-    return PupilLens(*settings)
+        whole = MaskedLens(*settings)
+    return SplitLens(whole, optics) if isinstance(optics, DiodeOptics) else whole
 
 
 def lens_of(camera: Camera) -> Lens:

@@ -73,7 +73,7 @@ class MaskedLens(PupilLens):
     def tables(self, q, rows, cols, stages, distance=None):
         """See `Lens`."""
         waves = self.waves(self.nanometres(q), distance=distance)
-        if self._by_rays(waves):
+        if self.counts_rays(waves):
             return self._ray_tables(waves, q, rows, cols, stages)
         first, *settings = self._sampling_of(waves, q)
         found = masked_tables(*first, rows, cols, *settings)
@@ -87,7 +87,7 @@ class MaskedLens(PupilLens):
         """See `Lens`."""
         pupil, q = self.optics.pupil, self.q(wavelengths)
         waves = self.waves(wavelengths, distance=distance)
-        if self._by_rays(waves):
+        if self.counts_rays(waves):
             return min(cusp(pupil) * min(float(q.max()) / np.sqrt(2), 1.0), 1.0)
         scaled = [Opening.of(pupil).scaled(wave)[0] for wave in waves]
         return focus_error(pupil) + max(

@@ -78,6 +78,19 @@ def pixel_taps(
     return Taps(begin.astype(np.int32), kept, centres)
 
 
+def point_taps(
+    samples: int, pixels: int, ratio: float, start: float, displacement: float = 0.0
+) -> Taps:
+    """Weights of `samples` that are means over whole pixels already: polynomials through NODES of them, at centres.
+
+    Arguments as of `pixel_taps`.
+    """
+    centres = start + ratio * (np.arange(pixels) + 0.5 + displacement)
+    # the middle of sample k is at k + 1/2
+    first, weights = _cumulative(centres - 0.5, samples - 1, NODES)
+    return Taps(first.astype(np.int32), weights, centres)
+
+
 def apply_border(taps: Taps, samples: int, more: int, border: str) -> Taps:
     """Return taps of `samples` from taps of as many with `more` on each side, which follow the border rule."""
     at = taps.start[:, None] + np.arange(taps.weights.shape[1]) - more

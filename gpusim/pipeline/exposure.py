@@ -24,6 +24,7 @@ from gpusim.kernels.sensor.noise import check_drawn
 from gpusim.optics.labels import carry_labels
 from gpusim.pipeline.brightness import describe_brightness
 from gpusim.pipeline.developer import Developer, rendering_name
+from gpusim.pipeline.diodes import divided, phase_places, put_phase_pixels
 from gpusim.pipeline.frame import Frame, Parts
 from gpusim.pipeline.light import return_none
 from gpusim.pipeline.metering import metering_steps
@@ -105,13 +106,19 @@ def exposure_steps(simulator: "Simulator", plan: Plan) -> list[Step]:
     known = {step.output for step in steps}
     response = "response" if "response" in known and sensor.noise.dead_pixels else ""
     dark = "dark" if "dark" in known else ""
-    if processor.defects != "known" or not (response or dark):
+    has_places = sensor.dual is not None and bool(sensor.dual.sparse)
+    if processor.defects != "known" or not (response or dark or has_places):
         return [*steps, Step("defects", "", run=return_none, rate=Rate.EXPOSURE)]
     flags = Step(
         "defects",
         "",
         (response, dark),
-        {"binning": sensor.binning, "stride": readout.stride, "device": simulator.device},
+        {
+            "binning": sensor.binning,
+            "stride": readout.stride,
+            "places": phase_places(sensor.dual, scene.shape) if has_places else None,
+            "device": simulator.device,
+        },
         ("hot_electrons", "dark_time"),
         rate=Rate.EXPOSURE,
         run=flag_pixels,
@@ -256,6 +263,47 @@ class Exposure:
         """
         draw = self.simulator.readout.draw
         return draw(self.chip_mean, self.exposure_time, self.gain, seed, first, frames)
+
+    @cached_property
+    def diodes(self) -> Any:
+        """Mean electrons of the photodiodes of dual or quad pixels, a device array (n, rows, cols) [e-].
+
+        For stacked pixels (n, C, rows, cols). They are in the order of `camera.sensor.dual.diodes`, before binning, and
+        add up to `mean`. Raises Conflict if the camera's pixels are not divided.
+        """
+        divided(self.simulator.camera)
+        simulator, scene = self.simulator, self.plan.scene
+        made = simulator.diodes_of(scene.shape)
+        loops = [
+            one.loop(scene, self.exposure_time, self.gain).update(brightness=self.brightness)
+            for one in made.simulators
+        ]
+        parts = [loop.output("mean") for loop in loops]
+        return made.divide(self.mean, parts, [loop.plan for loop in loops], self.device)
+
+    def raw_dual(self, *, seed: int = 0, first: int = 0, frames: int | None = None) -> Any:
+        """Return raw values of the photodiodes of dual or quad pixels, each read with its own noise.
+
+        A diode has an equal part of the pixel's full well and dark current. The frame's `raw` is another reading, of
+        all light of a pixel at once.
+
+        Args:
+            seed: Seed of the noise.
+            first: Number of the frame, or of the first one.
+            frames: Number of frames; None draws one without the first axis.
+
+        Returns:
+            A device array (n, rows, cols), or (frames, n, rows, cols) [DN], in the order of `diodes`. Layers of stacked
+            pixels are below each other.
+
+        Raises:
+            Conflict: The camera's pixels are not divided.
+            DoesNotFit: The frames need more memory than the device has.
+            OutOfRange: The seed or a number is not allowed, or binned blocks do not fill the frame's rows.
+        """
+        simulator, means = self.simulator, self.diodes
+        made = simulator.diodes_of(self.plan.scene.shape)
+        return made.draw(simulator, means, self.exposure_time, self.gain, seed, first, frames)
 
     def develop(self, raw: Any) -> tuple[Any, Any]:
         """Develop raw values. Those of a sensor without a converter are first rounded to 16 bits.
@@ -414,6 +462,23 @@ def expose_mean(
     values = Values.of(exposure_steps(simulator, plan), simulator.tables)
     values.give(mean=mean)
     return expose_values(values, simulator, plan, camera, seconds, gain)
+
+
+def expose_phase_pixels(exposure: Exposure) -> Exposure:
+    """Return an exposure in which phase-detection pixels hold the electrons of their half of the pupil."""
+    simulator, scene, device = exposure.simulator, exposure.plan.scene, exposure.device
+    dual, made = simulator.camera.sensor.dual, simulator.diodes_of(scene.shape)
+    assert dual is not None
+    parts = {}
+    for number, one in enumerate(made.simulators):
+        loop = one.loop(scene, exposure.exposure_time, exposure.gain)
+        part = np.array(device.numpy(loop.output("mean")), np.float32)
+        parts[made.names[number]] = part, made.shares(number, loop.plan)
+    mean = put_phase_pixels(np.array(device.numpy(exposure.mean), np.float32), parts, dual)
+    own = expose_mean(
+        simulator, exposure.plan, device.array(mean), exposure.exposure_time, exposure.gain
+    )
+    return replace(own, ms=exposure.ms, wall_ms=exposure.wall_ms)
 
 
 def operated_camera(camera: Camera, readout: Readout, gain: float) -> Camera:

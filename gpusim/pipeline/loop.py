@@ -25,6 +25,7 @@ from gpusim.optics.highlights import Highlights
 from gpusim.optics.lens import lens_of
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.developer import rendering_name
+from gpusim.pipeline.diodes import divided
 from gpusim.pipeline.exposure import (
     Exposure,
     expose_values,
@@ -255,6 +256,7 @@ class Loop:
         self._patience = PATIENCE
         self._served: tuple = (None,) * 6  # a plan that is usable, and for which settings
         self._drafted: tuple = (None,) * 5  # a plan, its camera, scene and camera, and their draft
+        self._diodes: list[Loop] = []  # of each side's light, if it was asked for
         self._fixed_plan = plan
         if plan is not None:
             check_given(plan, simulator.camera, scene)
@@ -810,6 +812,36 @@ class Loop:
             A device array (rows, cols) [DN].
         """
         return self.output("raw", seed=seed, first=first)
+
+    @property
+    def diodes(self) -> Any:
+        """Mean electrons of the photodiodes of dual or quad pixels, see `Exposure.diodes`. The next use rewrites them."""
+        divided(self.simulator.camera)
+        made, exposure = self.simulator.diodes_of(self.scene.shape), self.expose()
+        operation = exposure.exposure_time, exposure.gain
+        if len(self._diodes) != len(made.simulators):
+            self._diodes = [one.loop(self.scene, *operation) for one in made.simulators]
+        parts = []
+        for loop, one in zip(self._diodes, made.simulators, strict=True):
+            camera = one.camera if loop.simulator.camera is not one.camera else SAME
+            settings = dict(zip(("exposure_time", "gain"), operation, strict=True))
+            loop.update(camera=camera, scene=self.scene, brightness=self._brightness, **settings)
+            parts.append(loop.output("mean"))
+        return made.divide(exposure.mean, parts, [loop.plan for loop in self._diodes], self.simulator.device)
+
+    def raw_dual(self, *, seed: int = 0, first: int = 0) -> Any:
+        """Return raw values of the photodiodes of dual or quad pixels, see `Exposure.raw_dual`.
+
+        Args:
+            seed: Seed of the noise.
+            first: Number of the frame.
+
+        Returns:
+            A device array (n, rows, cols) [DN].
+        """
+        simulator, means, exposure = self.simulator, self.diodes, self.expose()
+        made, operation = simulator.diodes_of(self.scene.shape), (exposure.exposure_time, exposure.gain)
+        return made.draw(simulator, means, *operation, seed, first)
 
     def codes(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return the display codes of one frame.

@@ -693,16 +693,22 @@ def expose_chip(mean, response=None, dark=None, *, device, dark_time=0.0, scale=
     return chip(mean, response, dark, scale=scale, dark_time=dark_time, device=device)
 
 
-def flag_pixels(response, dark, *, hot_electrons, dark_time, binning, stride, device) -> Any:
-    """Return a map of dead and hot pixels as an array of the device; None if there can be none.
+def flag_pixels(
+    response, dark, *, hot_electrons, dark_time, binning, stride, device, places=None
+) -> Any:
+    """Return a map of dead, hot and phase-detection pixels, an array of the device; None if there can be none.
 
-    hot_electrons: least charge of a hot pixel beyond the common dark current [e-]. dark_time: [s]. The rest as for
-    `sensor.flag`.
+    hot_electrons: least charge of a hot pixel beyond the common dark current [e-]. dark_time: [s]. places: not 0 at
+    phase-detection pixels, (rows, cols), or None. The rest as for `sensor.flag`.
     """
-    if response is None and dark is None:
-        return None
-    least = hot_electrons / dark_time if dark_time else 0.0
-    return flag(response, dark, least=least, binning=binning, stride=stride, device=device)
+    flags = None
+    if response is not None or dark is not None:
+        least = hot_electrons / dark_time if dark_time else 0.0
+        flags = flag(response, dark, least=least, binning=binning, stride=stride, device=device)
+    if places is None:
+        return flags
+    known = places if flags is None else places | device.numpy(flags)
+    return device.array((known != 0).astype(np.uint8), np.uint8)
 
 
 def checked_electrons(mean: Any, layers: int | None) -> np.ndarray:

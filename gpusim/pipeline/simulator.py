@@ -17,7 +17,8 @@ from gpusim.kernels.sensor.bin import binned_shape
 from gpusim.pipeline.batch import Batch
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.developer import Developer
-from gpusim.pipeline.exposure import Exposure, exposure_steps
+from gpusim.pipeline.diodes import Diodes, flag_places, is_sparse, require_no_places
+from gpusim.pipeline.exposure import Exposure, expose_phase_pixels, exposure_steps
 from gpusim.pipeline.frame import Frame
 from gpusim.pipeline.imaging import Imaging
 from gpusim.pipeline.loop import Capture, Loop, Planned
@@ -92,7 +93,9 @@ class Simulator:
 
         cache: of a camera's values. tables: of lens tables and chip patterns, for frames of one kind.
         """
-        self.camera, self.cache, self.tables = checked_camera(camera), cache, tables
+        self.camera, self.cache, self.tables = flag_places(checked_camera(camera)), cache, tables
+        self._diodes: dict[tuple[int, int], Diodes] = {}  # by the frame's shape
+        camera = self.camera
         sensor, self.left_out = without_negligible(camera.sensor, self.tolerance)
         self.readout = cache("readout", Readout, sensor, self.device, tables)
         self.imaging = Imaging(camera, self.device, tables)
@@ -122,6 +125,19 @@ class Simulator:
             The new simulator.
         """
         return copy(self)._connect(camera, Cache(), tables)
+
+    def diodes_of(self, shape: tuple[int, int]) -> Diodes:
+        """Return the photodiodes of frames of a shape, made once.
+
+        Args:
+            shape: Rows and columns of the frame.
+
+        Returns:
+            The diodes of a camera with divided or phase-detection pixels.
+        """
+        if shape not in self._diodes:
+            self._diodes[shape] = Diodes(self, shape)
+        return self._diodes[shape]
 
     def on_devices(self) -> "list[Simulator]":
         """Return a simulator for each device.
@@ -175,6 +191,7 @@ class Simulator:
         Returns:
             A callable, see `gpusim.pipeline.batch.Batch`.
         """
+        require_no_places(self.camera, "a batch")
         return Batch(self, count, output, planned_for, plan, capture)
 
     def loop(
@@ -199,6 +216,7 @@ class Simulator:
         Returns:
             The loop, see `gpusim.pipeline.loop.Loop`.
         """
+        require_no_places(self.camera, "a loop")
         return Loop(self, scene, exposure_time, gain, meters_late, plan=plan, capture=capture)
 
     def stream(
@@ -236,6 +254,7 @@ class Simulator:
         Returns:
             The iterator; it yields device arrays, and its `plan` made the last frame.
         """
+        require_no_places(self.camera, "a stream")
         return Stream(
             self,
             scenes,
@@ -395,7 +414,7 @@ class Simulator:
         Returns:
             The exposure.
         """
-        loop = self.loop(scene, exposure_time, gain, plan=plan)
+        loop = Loop(self, scene, exposure_time, gain, plan=plan)
         kept, self._kept = self._kept, None
         if plan is None and kept is not None and kept[1] == exposure_time:
             loop.reuse(kept[0])
@@ -403,9 +422,10 @@ class Simulator:
         exposure = loop.judged_exposure
         if exposure.plan.planned_for and not exposure.plan.meets(exposure.exposure_time):
             before = exposure.wall_ms
-            loop = self.loop(scene, exposure_time, gain)  # a plan made for the scene may meet it
+            loop = Loop(self, scene, exposure_time, gain)  # a plan made for the scene may meet it
             exposure = loop.judged_exposure
             exposure = replace(exposure, wall_ms=before + exposure.wall_ms)
         if plan is None:
             self._kept = loop.keep_plan(), exposure_time
-        return replace(exposure, is_rewritten=False)
+        exposure = replace(exposure, is_rewritten=False)
+        return expose_phase_pixels(exposure) if is_sparse(self.camera) else exposure

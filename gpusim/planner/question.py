@@ -107,12 +107,7 @@ class Question:
             cfa = sensor.cfa_indices
             share = np.bincount(cfa.ravel(), minlength=channels) / cfa.size
         cell = aperture if ratio == 1 else (1.0, 1.0)
-        distortion, axis = optics.distortion, (0.0, 0.0)
-        if distortion is not None:
-            distortion = fit_to_frame(distortion, scene.shape, sensor.pixel_pitch)
-        if isinstance(distortion, Framed):
-            x, y = (distortion.radius / sensor.pixel_pitch * at for at in distortion.middle)
-            axis = y, x
+        distortion, axis = find_axis(optics, scene.shape, sensor.pixel_pitch)
         if scene.projection == IMAGE:  # its samples are displaced already
             distortion = None
         lens = open_lens(
@@ -232,6 +227,22 @@ class Question:
     def spread(self) -> float:
         """Radius within which the rays of a point meet the image [sample], see `Lens.spread`."""
         return self.cache("spread", type(self.lens).spread, self.lens, self.scene.wavelengths)
+
+
+def find_axis(
+    optics: Optics, shape: tuple[int, int], pixel_pitch: float
+) -> tuple[Model | None, tuple[float, float]]:
+    """Return the lens's distortion for a frame, and where its axis meets it from the middle, (rows, cols) [pixel].
+
+    shape: Rows and columns of the frame. pixel_pitch: [m].
+    """
+    if optics.distortion is None:
+        return None, (0.0, 0.0)
+    distortion = fit_to_frame(optics.distortion, shape, pixel_pitch)
+    if not isinstance(distortion, Framed):
+        return distortion, (0.0, 0.0)
+    x, y = (distortion.radius / pixel_pitch * at for at in distortion.middle)
+    return distortion, (y, x)
 
 
 def displacement_suffix(displacement) -> str:

@@ -37,6 +37,7 @@ from gpusim.optics.sampling import (
     apply_border,
     frame_start,
     pixel_taps,
+    point_taps,
     sampling_error,
 )
 from gpusim.planner.choices import Falloff
@@ -73,6 +74,9 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
     ):
         more = spare if is_blurred else ceil(ratio * abs(move))
         start = more + frame_start(n, pixels, ratio)
+        if question.lens.has_pixel_windows:
+            axes.append(point_taps(n + 2 * more, pixels, ratio, start, move))
+            continue
         nodes = NODES if is_blurred else AREA
         taps = pixel_taps(n + 2 * more, pixels, ratio, width, start, nodes, move)
         first, last = taps.centres[0] - ratio * width / 2, taps.centres[-1] + ratio * width / 2
