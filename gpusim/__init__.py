@@ -24,6 +24,12 @@ _NAMES = {
     "captures.burst": ("Burst", "burst", "average"),
     "captures.capture": ("Capture", "change_exposure_time"),
     "captures.decoding": ("LensletGrid", "calibrate_lenslets", "decode_lenslets"),
+    "captures.disparity": (
+        "defocus_from_disparity",
+        "disparity",
+        "disparity_slope",
+        "distance_from_disparity",
+    ),
     "captures.events": ("EventSensor", "events_of"),
     "captures.focus": ("autofocus",),
     "captures.lenslets": ("apply_lenslets",),
@@ -36,6 +42,7 @@ _NAMES = {
     "captures.lenslet_frames": ("LensletCapture", "LensletExposure", "expose_lenslets"),
     "captures.views": ("ViewCapture", "Views", "expose_views"),
     "captures.view_depth": ("ViewDepth", "all_in_focus", "depth_from_views"),
+    "captures.phase_focus": ("phase_focus",),
     "captures.reads": ("Reads", "read_nondestructively"),
     "data.charts": ("chart",),
     "data.displays": ("open_display", "display_names", "display_picture"),
@@ -47,6 +54,7 @@ _NAMES = {
     "domain.camera": ("Camera",),
     "domain.content": ("Cube", "Basis", "Materials", "Picture"),
     "domain.display": ("Display",),
+    "domain.dual": ("DualPixels",),
     "domain.errors": ("GpusimError",),
     "domain.exposure": ("AutoExposure", "exposure_value"),
     "domain.flicker": ("Flicker",),
@@ -100,6 +108,10 @@ if TYPE_CHECKING:
     from gpusim.captures.decoding import LensletGrid as LensletGrid
     from gpusim.captures.decoding import calibrate_lenslets as calibrate_lenslets
     from gpusim.captures.decoding import decode_lenslets as decode_lenslets
+    from gpusim.captures.disparity import defocus_from_disparity as defocus_from_disparity
+    from gpusim.captures.disparity import disparity as disparity
+    from gpusim.captures.disparity import disparity_slope as disparity_slope
+    from gpusim.captures.disparity import distance_from_disparity as distance_from_disparity
     from gpusim.captures.events import EventSensor as EventSensor, events_of as events_of
     from gpusim.captures.focus import autofocus as autofocus
     from gpusim.captures.lenslets import apply_lenslets as apply_lenslets
@@ -118,6 +130,7 @@ if TYPE_CHECKING:
     from gpusim.captures.views import expose_views as expose_views
     from gpusim.captures.view_depth import ViewDepth as ViewDepth, all_in_focus as all_in_focus
     from gpusim.captures.view_depth import depth_from_views as depth_from_views
+    from gpusim.captures.phase_focus import phase_focus as phase_focus
     from gpusim.captures.reads import Reads as Reads
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
     from gpusim.io.camera.calibration import read_calibration as read_calibration
@@ -139,6 +152,7 @@ if TYPE_CHECKING:
     from gpusim.domain.content import Basis as Basis, Cube as Cube, Materials as Materials
     from gpusim.domain.content import Picture as Picture
     from gpusim.domain.display import Display as Display
+    from gpusim.domain.dual import DualPixels as DualPixels
     from gpusim.domain.errors import GpusimError as GpusimError
     from gpusim.domain.exposure import AutoExposure as AutoExposure
     from gpusim.domain.exposure import exposure_value as exposure_value

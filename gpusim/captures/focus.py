@@ -89,7 +89,7 @@ def autofocus(
             f"focal_length ({optics.focal_length:.4g} m) < nearest < farthest",
         )
     trials = _Trials(simulator, scene, region, seed)
-    step, depth_of_focus = _steps(simulator.camera)
+    step, depth_of_focus = focus_steps(simulator.camera)
     far, near = _ends(optics, scene, nearest, farthest)
 
     around = np.linspace(far, near, max(5, int(np.ceil((near - far) / step)) + 1))
@@ -118,7 +118,7 @@ def autofocus(
     )
 
 
-def _steps(camera):
+def focus_steps(camera):
     """Return the step of the first trials and the depth of focus, both in dioptres [1/m]."""
     infinity, pitch = replace(camera.optics, object_distance=np.inf), camera.sensor.pixel_pitch
     diopters = (infinity.working_f_number * pitch) / infinity.displacement(1.0)  # per pixel
@@ -157,7 +157,7 @@ class _Trials:
         sensor, readout = simulator.camera.sensor, simulator.readout
         self._loop, self._seed = simulator.loop(scene), seed
         self._period = (1, 1) if sensor.stacked else readout.output.cfa_indices.shape
-        self._region = _check_region(region, readout.output_shape(scene.shape), self._period)
+        self._region = check_region(region, readout.output_shape(scene.shape), self._period)
         self.found: dict[float, tuple[float, float]] = {}
 
     def __call__(self, vergence):
@@ -194,7 +194,7 @@ def _distance(vergence):
     return 1 / vergence if vergence > 0 else np.inf
 
 
-def _check_region(region, shape, period):
+def check_region(region, shape, period):
     """Return the rows and columns in which contrast is measured; raise OutOfRange if too few."""
     region = region or tuple(slice(n // 3, n - n // 3) for n in shape)
     for part, size, least in zip(region, shape, period, strict=True):

@@ -326,6 +326,12 @@ class SplitLens:
         y, x, light = _pupil_light(self.optics.pupil)
         return np.array([light @ self.share(float(one), place).of(y, x) for one in wavelengths])
 
+    def mean_point(self, wavelength: float, place=(0.0, 0.0)) -> tuple[float, float]:
+        """Return the centroid of the diode's light in the pupil at a field point, (y, x) [radii]."""
+        y, x, light = _pupil_light(self.optics.pupil)
+        own = light * self.share(wavelength, place).of(y, x)
+        return float(own @ y / own.sum()), float(own @ x / own.sum())
+
     def _differences(self, wavelengths, place, distance, at, moved=(0.0, 0.0)):
         """Kernels less the whole lens's at pixels `at` (n,), (L, n, n). moved: displacement of the image."""
         wavelengths = np.asarray(wavelengths, np.float64)
@@ -373,10 +379,20 @@ class SplitLens:
 
     def moments(self, wavelengths, place, distance=None, size=1) -> np.ndarray:
         """See `Lens`."""
-        whole = self.whole
-        moved = self.centroids(wavelengths, place, distance)
-        moved = moved - whole.centroids(wavelengths, place, distance)
-        return whole.moments(wavelengths, place, distance, size) + moved
+        whole = self.whole.moments(wavelengths, place, distance, size)
+        if self.q(wavelengths).min() >= 1:
+            moved = self.centroids(wavelengths, place, distance)
+            return whole + moved - self.whole.centroids(wavelengths, place, distance)
+        most = len(_reach_of(self, wavelengths, distance, float(np.hypot(*place))))
+        at = np.arange(-most, most + 1)
+        rest, inner = self._differences(wavelengths, place, distance, at), most - most // 2
+        near = rest[:, inner:-inner, inner:-inner]
+        wide, half = (
+            np.stack([one.sum(axis=2) @ each, one.sum(axis=1) @ each], axis=1)
+            for one, each in ((rest, at), (near, at[inner:-inner]))
+        )
+        # what falls as r^-4 leaves a first moment of 1 / r
+        return whole + (len(at) * wide - near.shape[-1] * half) / (len(at) - near.shape[-1])
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
         """See `Lens`. The window's transfer belongs to the division of the light, and is included."""
