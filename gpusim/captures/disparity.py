@@ -227,7 +227,8 @@ def _scale(camera, place, wavelength, shape=(1, 1)) -> _Scale:
     axis = 0 if dual.split == "up-down" else 1
     sides = ("top", "bottom") if axis == 0 else ("left", "right")
     halves = replace(dual, split="up-down" if axis == 0 else "left-right", sparse="", cell=(1, 1), places=())
-    halved = replace(camera, sensor=replace(camera.sensor, dual=halves))
+    focused = replace(camera.optics, defocus=0.0)  # aberrations displace too, and are known
+    halved = replace(camera, sensor=replace(camera.sensor, dual=halves), optics=focused)
     means, centres = [], []
     for side in sides:
         lens = lens_of(diode_camera(halved, side, shape))

@@ -99,6 +99,8 @@ def describe(question: Question, taps, notes: Notes):
             f"{ratio:.4g} sample{'' if ratio == 1 else 's'} per pixel, integrated over "
             f"its aperture{displacement_suffix(question.sensor.displacement)}"
         )
+    if question.lens.has_pixel_windows:  # the frame that the diodes divide reports it
+        return
     finer = question.facts.hold(
         "scene sampling",
         (
