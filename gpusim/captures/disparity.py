@@ -2,7 +2,8 @@
 
 Along each row of a block the cross spectrum of both pictures is L(f) conj R(f). Its phase is 2 pi f d for a right
 picture that lies d after the left one. The sum over the rows of a block is turned back by the d that makes the weighted
-real part largest. With signal power S and noise powers N of the pictures, weights S / (S (N_l + N_r) + N_l N_r) are
+real part largest. Blurs of dual pixels are half discs, whose phase bends
+at high frequencies. With signal power S and noise powers N of the pictures, weights S / (S (N_l + N_r) + N_l N_r) are
 those of least variance, and the variance is then the Cramer-Rao bound of unknown Gaussian signals.
 
 Source: Knapp and Carter, IEEE Trans. Acoustics, Speech, Signal Processing 24, 320 (1976).
@@ -27,6 +28,10 @@ from gpusim.pipeline.diodes import diode_camera, divided, is_sparse
 FINER = 4  # places of the first search per pixel
 FINEST = 0.35  # cycles per pixel up to which spectra are used: beyond, pixels fold frequencies
 COARSE = 0.06  # cycles per pixel of the weights of the first search, 1 / (1 + (f / COARSE)^2)
+# the phase of a half disc's transform, atan(H1(v) / J1(v)) with v = pi f x the diameter, is straight up to v = 1.5,
+# which is so many cycles per disparity
+STRAIGHT = 1.5 * 4 / (3 * np.pi) / np.pi
+FEWEST = 3  # frequencies that are used in any case
 ROUNDS = 4  # of Newton's method
 PASSES = 3  # with blocks displaced by what was found before
 LEAST_BLOCK = 8  # pixels along the disparity
@@ -59,6 +64,7 @@ def disparity(
     block: tuple[int, int] = (32, 64),
     step: tuple[int, int] | None = None,
     split: str = "left-right",
+    is_defocus: bool = True,
 ) -> Disparity:
     """Return the disparity of two pictures in overlapping blocks.
 
@@ -72,6 +78,8 @@ def disparity(
         block: Rows and columns of a block [pixel].
         step: Distance of blocks down and across [pixel]; None is half a block.
         split: Direction of the disparity, "left-right" along columns or "up-down" along rows.
+        is_defocus: Whether blurs of half discs displace the pictures, as in dual pixels: their phase is straight at low
+            frequencies only. Else the pictures are displaced as a whole.
 
     Returns:
         The disparities.
@@ -89,7 +97,9 @@ def disparity(
         raise BadData("disparity: NaN or infinite values, wanted finite pictures")
     if split == "up-down":
         turned = block[::-1], step and step[::-1]
-        found = disparity(left.T, right.T, noise=noise, block=turned[0], step=turned[1])
+        found = disparity(
+            left.T, right.T, noise=noise, block=turned[0], step=turned[1], is_defocus=is_defocus
+        )
         return Disparity(found.values.T, found.uncertainty.T, found.cols, found.rows)
     if not (1 <= block[0] <= left.shape[0] and LEAST_BLOCK <= block[1] <= left.shape[1]):
         raise OutOfRange(
@@ -99,7 +109,8 @@ def disparity(
     down, across = step or tuple(max(n // 2, 1) for n in block)
     tops = np.arange(0, left.shape[0] - block[0] + 1, down)
     starts = np.arange(0, left.shape[1] - block[1] + 1, across)
-    search = _Search(left, right, np.broadcast_to(noise, 2), block)
+    straight = STRAIGHT if is_defocus else np.inf
+    search = _Search(left, right, np.broadcast_to(noise, 2), block, straight)
     values = np.zeros((len(tops), len(starts)))
     uncertainty = np.empty_like(values)
     for row, top in enumerate(tops):
@@ -113,11 +124,12 @@ def disparity(
 class _Search:
     """Matches blocks of two pictures, each time displaced by what was found before.
 
-    noise: Variances of a pixel in both pictures. block: Rows and columns.
+    noise: Variances of a pixel in both pictures. block: Rows and columns. straight: see `_match`.
     """
 
-    def __init__(self, left, right, noise, block):
+    def __init__(self, left, right, noise, block, straight):
         self._block, self._noise, self._pictures = block, noise, (left, right)
+        self._straight = straight
         self._splines = [
             scipy.ndimage.spline_filter1d(one, 3, axis=1, mode="mirror") for one in (left, right)
         ]
@@ -134,7 +146,7 @@ class _Search:
             spectra.append(scipy.fft.rfft(lines, axis=2) / level[:, None])
             powers.append(self._noise[number] * (self._window**2).sum() / level**2)  # of a row
         cross = (spectra[0] * spectra[1].conj()).sum(axis=0)
-        values, found = _match(cross, *powers, *self._block, is_first)
+        values, found = _match(cross, *powers, *self._block, None if is_first else moved, self._straight)
         # a window correlates the noise of neighbouring frequencies
         window, width = self._window, self._block[1]
         return moved + values, found * np.sqrt(width * (window**4).sum()) / (window**2).sum()
@@ -155,26 +167,29 @@ class _Search:
         )
 
 
-def _match(cross, first, second, rows, width, is_first):
+def _match(cross, first, second, rows, width, moved, straight):
     """Displacements and their deviations (m,) from cross spectra (m, F) of the rows together, noise powers of a row (m,).
 
-    is_first: All displacements are searched, else those next to 0.
+    moved: Displacements of the blocks already, (m,); None: all are searched. straight: largest cycles per displacement.
     """
     f = np.arange(cross.shape[-1]) / width
     used = (f > 0) & (f <= FINEST)
     f, cross = f[used], cross[..., used]
+    noise, both = (first + second)[:, None], rows * (first * second)[:, None]
+    least = 1e-12 * np.abs(cross).max(axis=-1, keepdims=True) ** 2 + 1e-300
     values = np.zeros(len(cross))
-    if is_first:
+    if moved is None:
+        moved = np.zeros(len(cross))
         places = np.arange(-FINER * width // 2, FINER * width // 2 + 1) / FINER
         waves = np.exp(-2j * np.pi * np.outer(f, places)).astype(np.complex64)
         weighted = (cross / (1 + (f / COARSE) ** 2)).astype(np.complex64)
         values = places[np.argmax((weighted @ waves).real, axis=-1)]
-    noise, both = (first + second)[:, None], rows * (first * second)[:, None]
-    least = 1e-12 * np.abs(cross).max(axis=-1, keepdims=True) ** 2 + 1e-300
     for _ in range(ROUNDS):
         turned = cross * np.exp(-2j * np.pi * f * values[:, None])
         signal = np.maximum(_smooth(turned.real), 0)
+        most = straight / np.maximum(np.abs(moved + values), 1e-9)
         weight = signal / (signal * noise + both + least)
+        weight = weight * (f <= np.maximum(most, FEWEST / width)[:, None])
         slope = (weight * 2 * np.pi * f * turned.imag).sum(axis=-1)
         bend = (weight * (2 * np.pi * f) ** 2 * signal).sum(axis=-1)
         values = values + np.clip(slope / np.maximum(bend, 1e-300), -0.5, 0.5)

@@ -107,7 +107,8 @@ def phase_focus(
             "larger region"
         )
     split = "up-down" if axis == 0 else "left-right"
-    found = disparity(*pair, noise=(noise[0], noise[1]), block=(size[0], size[1]), split=split)
+    block = size[0], size[1]
+    found = disparity(*pair, noise=(noise[0], noise[1]), block=block, split=split)
     moved, error = (float(one[0, 0]) * step[axis] for one in (found.values, found.uncertainty))
     if not np.isfinite(error):
         raise BadData(

@@ -53,7 +53,7 @@ class Camera(Tabled):
 
     def __post_init__(self):
         self._check_mosaic()
-        if self.sensor.dual is not None and self.optics.psf is not None:
+        if self.sensor.dual is not None and not self.optics.has_wave:
             raise Conflict(
                 "sensor.dual",
                 "measured point spreads hold no wave, which pixels divide by its direction",

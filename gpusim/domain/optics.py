@@ -255,6 +255,11 @@ class Optics:
         return not self.pupil.sides.size and not np.any(odd)
 
     @property
+    def has_wave(self) -> bool:
+        """Whether the field of the light at the sensor is known: measured point spreads are energies."""
+        return self.psf is None
+
+    @property
     def varies(self) -> bool:
         """Whether the blur varies over the field."""
         if self.model == "none":

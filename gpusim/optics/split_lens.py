@@ -359,8 +359,11 @@ class SplitLens:
     def kernels(self, wavelengths, place, size, distance=None) -> np.ndarray:
         """See `Lens`."""
         at = np.arange(size) - size // 2
-        whole = self.whole.kernels(wavelengths, place, size, distance)
-        return whole + self._differences(wavelengths, place, distance, at)
+        found = self.whole.kernels(wavelengths, place, size, distance)
+        at = at[np.abs(at) <= _reach_of(self, wavelengths, distance, float(np.hypot(*place)))[-1]]
+        inner = slice(at[0] + size // 2, at[-1] + size // 2 + 1)
+        found[:, inner, inner] += self._differences(wavelengths, place, distance, at)
+        return found
 
     def sketches(self, wavelengths, radius) -> np.ndarray:
         """See `Lens`."""
@@ -383,9 +386,8 @@ class SplitLens:
         if self.q(wavelengths).min() >= 1:
             moved = self.centroids(wavelengths, place, distance)
             return whole + moved - self.whole.centroids(wavelengths, place, distance)
-        most = len(_reach_of(self, wavelengths, distance, float(np.hypot(*place))))
-        at = np.arange(-most, most + 1)
-        rest, inner = self._differences(wavelengths, place, distance, at), most - most // 2
+        at = _reach_of(self, wavelengths, distance, float(np.hypot(*place)))
+        rest, inner = self._differences(wavelengths, place, distance, at), len(at) // 4
         near = rest[:, inner:-inner, inner:-inner]
         wide, half = (
             np.stack([one.sum(axis=2) @ each, one.sum(axis=1) @ each], axis=1)

@@ -70,6 +70,7 @@ VALUES = {  # of every key, and of others that it needs, also in another section
         "offset": "[1.0, 0.0]",
         "microlens": "{angles_deg = [0, 15, 30, 60], response = [1, 0.97, 0.85, 0.5], shift = 0.8}",
         "lenslets": "{pitch_um = 14, focal_length_um = 40}",
+        "dual": '{split = "up-down"}',
         "vignetting": "[[0.9, 0.95], [1.0, 0.8]]",
         "qe": '"iset-rgb"',
         "photodetector": '"cmos-photodetector"',

@@ -16,6 +16,7 @@ from gpusim.optics.lens import lens_of, open_lens
 
 ROOT = Path(__file__).parents[2]
 ASKING = {
+    "gpusim/domain/dual.py",  # the settings as a photodiode sees them
     "gpusim/domain/optics.py",  # checks the settings
     "gpusim/domain/pupil.py",  # the geometry of pupils
     "gpusim/optics/lens.py",  # the classes

@@ -192,6 +192,7 @@ EXAMPLES = {
     "sensor.offset": [[3.5, 0.0]],
     "sensor.microlens": [{"angles_deg": [0, 15, 30], "response": [1, 0.8, 0.5], "shift": 0.5}],
     "sensor.lenslets": [{"pitch_um": 14, "focal_length_um": 40, "gap_um": "auto"}],
+    "sensor.dual": [{"split": "up-down"}],
     "sensor.vignetting": [[[0.5, 0.7, 0.5], [0.7, 1, 0.7], [0.5, 0.7, 0.5]]],
     "sensor.sensitivity": ["iset-rgb"],
     "sensor.noise_profile": ["missing.dng"],
@@ -205,6 +206,7 @@ EXAMPLES = {
 SILENT = {
     "sensor.row_time_us": "nothing moves",
     "sensor.lenslets": "a frame without views of the pupil has no light field",
+    "sensor.dual": "the picture is of all light",
     "noise.doubling_k": "the sensor has the reference temperature",
     "sensor.binning_mode": "nothing is binned",
     "optics.reference_nm": "there are no aberrations",

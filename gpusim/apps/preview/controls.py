@@ -208,6 +208,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
         _text("sensor", "offset", "offset of the chip"),
         _text("sensor", "microlens", "microlens"),
         _text("sensor", "lenslets", "lenslet array"),
+        _text("sensor", "dual", "dual pixels"),
         _text("sensor", "vignetting", "pixel vignetting"),
         _choice("sensor", "stacked", "stacked pixels", (False, True)),
         _text("sensor", "binning", "binning", ("[1, 1]", "[2, 2]", "[3, 3]", "[4, 4]")),
