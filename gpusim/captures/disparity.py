@@ -18,7 +18,6 @@ import scipy.signal
 from numpy.typing import ArrayLike
 
 from gpusim.domain.camera import Camera
-from gpusim.domain.dual import DiodeOptics
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
 from gpusim.optics.lens import lens_of
@@ -72,7 +71,7 @@ def disparity(
     mix distances.
 
     Args:
-        left: First picture, linear, without dark level, shape (rows, cols). A mosaic is added up over its periods before.
+        left: First picture, linear, without dark level, shape (rows, cols); of a mosaic, sums over its periods.
         right: Second picture, of that shape.
         noise: Mean variance of a pixel's noise in both pictures, or in each, in the pictures' unit squared.
         block: Rows and columns of a block [pixel].
@@ -103,8 +102,10 @@ def disparity(
         return Disparity(found.values.T, found.uncertainty.T, found.cols, found.rows)
     if not (1 <= block[0] <= left.shape[0] and LEAST_BLOCK <= block[1] <= left.shape[1]):
         raise OutOfRange(
-            "block", f"{block[0]}x{block[1]}", f"{LEAST_BLOCK} .. {left.shape[1]} pixels along the disparity, "
-            f"1 .. {left.shape[0]} across it"
+            "block",
+            f"{block[0]}x{block[1]}",
+            f"{LEAST_BLOCK} .. {left.shape[1]} pixels along the disparity, "
+            f"1 .. {left.shape[0]} across it",
         )
     down, across = step or tuple(max(n // 2, 1) for n in block)
     tops = np.arange(0, left.shape[0] - block[0] + 1, down)
@@ -115,8 +116,7 @@ def disparity(
     uncertainty = np.empty_like(values)
     for row, top in enumerate(tops):
         for turn in range(PASSES):
-            found = search.match(top, starts, values[row], is_first=turn == 0)
-            values[row], uncertainty[row] = found
+            values[row], uncertainty[row] = search.match(top, starts, values[row], turn == 0)
     rows, cols = tops + (block[0] - 1) / 2, starts + (block[1] - 1) / 2
     return Disparity(values, uncertainty, rows, cols)
 
@@ -145,8 +145,8 @@ class _Search:
             lines = (parts - parts.mean(axis=2, keepdims=True)) * self._window
             spectra.append(scipy.fft.rfft(lines, axis=2) / level[:, None])
             powers.append(self._noise[number] * (self._window**2).sum() / level**2)  # of a row
-        cross = (spectra[0] * spectra[1].conj()).sum(axis=0)
-        values, found = _match(cross, *powers, *self._block, None if is_first else moved, self._straight)
+        cross, known = (spectra[0] * spectra[1].conj()).sum(axis=0), None if is_first else moved
+        values, found = _match(cross, powers, self._block, known, self._straight)
         # a window correlates the noise of neighbouring frequencies
         window, width = self._window, self._block[1]
         return moved + values, found * np.sqrt(width * (window**4).sum()) / (window**2).sum()
@@ -167,11 +167,12 @@ class _Search:
         )
 
 
-def _match(cross, first, second, rows, width, moved, straight):
-    """Displacements and their deviations (m,) from cross spectra (m, F) of the rows together, noise powers of a row (m,).
+def _match(cross, powers, block, moved, straight):
+    """Displacements and deviations (m,) from cross spectra (m, F) of all rows, and noise powers of a row (m,).
 
     moved: Displacements of the blocks already, (m,); None: all are searched. straight: largest cycles per displacement.
     """
+    (first, second), (rows, width) = powers, block
     f = np.arange(cross.shape[-1]) / width
     used = (f > 0) & (f <= FINEST)
     f, cross = f[used], cross[..., used]
@@ -213,7 +214,10 @@ class _Scale:
 
 
 def disparity_slope(
-    camera: Camera, place: tuple[float, float] = (0.0, 0.0), wavelength: float = 550.0
+    camera: Camera,
+    place: tuple[float, float] = (0.0, 0.0),
+    wavelength: float = 550.0,
+    shape: tuple[int, int] = (1, 1),
 ) -> float:
     """Return the disparity per metre by which the sensor is out of focus.
 
@@ -223,8 +227,9 @@ def disparity_slope(
 
     Args:
         camera: A camera with dual or phase-detection pixels.
-        place: Field point (y, x), 1 the frame's corner, of a frame whose corner is `corner_of` the sensor.
+        place: Field point (y, x), 1 the frame's corner.
         wavelength: [nm].
+        shape: Rows and columns of the frame; they matter if the border between diodes moves over the field.
 
     Returns:
         [pixel/m], for the displacement of `Optics.displacement`.
@@ -232,7 +237,7 @@ def disparity_slope(
     Raises:
         Conflict: The camera has no such pixels.
     """
-    return _scale(camera, place, wavelength).slope
+    return _scale(camera, place, wavelength, shape).slope
 
 
 def _scale(camera, place, wavelength, shape=(1, 1)) -> _Scale:
@@ -241,7 +246,9 @@ def _scale(camera, place, wavelength, shape=(1, 1)) -> _Scale:
         dual = divided(camera)
     axis = 0 if dual.split == "up-down" else 1
     sides = ("top", "bottom") if axis == 0 else ("left", "right")
-    halves = replace(dual, split="up-down" if axis == 0 else "left-right", sparse="", cell=(1, 1), places=())
+    halves = replace(
+        dual, split="up-down" if axis == 0 else "left-right", sparse="", cell=(1, 1), places=()
+    )
     focused = replace(camera.optics, defocus=0.0)  # aberrations displace too, and are known
     halved = replace(camera, sensor=replace(camera.sensor, dual=halves), optics=focused)
     means, centres = [], []

@@ -154,13 +154,15 @@ def _divided_pictures(raw, dual, period, region):
 def _phase_pictures(raw, dual: DualPixels, region):
     """Pictures of phase-detection pixels, their distance (rows, cols), and how far the second are from the first."""
     axis = 0 if dual.split == "up-down" else 1
-    pairs = [[place for place in dual.places if place[2] == side] for side in dual.diodes]
+    pairs = [[place[:2] for place in dual.places if place[2] == side] for side in dual.diodes]
     if not all(pairs):
         raise BadData("phase_focus: sensor.dual.places see one half only, wanted both halves")
     first = pairs[0][0]
-    second = min(pairs[1], key=lambda one: (one[1 - axis] != first[1 - axis], abs(one[axis] - first[axis])))
+    second = min(
+        pairs[1], key=lambda one: (one[1 - axis] != first[1 - axis], abs(one[axis] - first[axis]))
+    )
     pictures = []
-    for row, col, _ in (first, second):
+    for row, col in (first, second):
         lines = [
             slice(-(-(part.indices(n)[0] - at) // size) * size + at, part.indices(n)[1], size)
             for part, n, at, size in zip(region, raw.shape, (row, col), dual.cell, strict=True)

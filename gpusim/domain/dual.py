@@ -13,7 +13,6 @@ import numpy as np
 from gpusim.domain.errors import (
     BadData,
     Conflict,
-    Interval,
     Limits,
     OutOfRange,
     check_fields,
@@ -128,7 +127,9 @@ class DualPixels:
             if not (
                 isinstance(place, tuple)
                 and len(place) == 3
-                and all(type(at) is int and 0 <= at < n for at, n in zip(place, self.cell, strict=False))
+                and all(
+                    type(at) is int and 0 <= at < n for at, n in zip(place, self.cell, strict=False)
+                )
                 and place[2] in self.diodes
             ):
                 raise BadData(
@@ -233,7 +234,7 @@ class DiodeOptics(Optics):
         """Return a lens whose blur everywhere is this one's blur on the axis."""
         assert self.diode is not None
         dual = replace(self.diode.dual, misalignment=0.0, follows_chief_ray=True)
-        return replace(super().on_axis(), diode=replace(self.diode, dual=dual))
+        return DiodeOptics.of(super().on_axis(), replace(self.diode, dual=dual))
 
 
 def count_diodes(dual: DualPixels | None) -> int:

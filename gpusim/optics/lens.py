@@ -485,7 +485,9 @@ class PupilLens(_OnGrid):
     def table_parts(self, q, rows, cols, stages) -> tuple | None:
         """See `Lens`."""
         waves = self.waves(self.nanometres(q))
-        if self.counts_rays(waves) or not is_too_costly(self.optics.pupil, waves, stages.affordable):
+        if self.counts_rays(waves) or not is_too_costly(
+            self.optics.pupil, waves, stages.affordable
+        ):
             return None
         focus = self._pupil_tables(np.zeros((len(q), 1, 1)), q, rows, cols, stages)
         first, *settings = self._sampling_of(waves, q)

@@ -36,7 +36,9 @@ from gpusim.optics.amplitude import amplitude_at
 from gpusim.optics.geometric import ray_kernel
 
 NEAR = 12.0  # of kernels' differences beyond the rays, in units of 2 lambda N
-SPARE = 8  # of the Gauss nodes of a window, beyond pi for every cycle of the pupil's phase at its edge
+SPARE = (
+    8  # of the Gauss nodes of a window, beyond pi for every cycle of the pupil's phase at its edge
+)
 TABLE = 4097  # places of the pupil between which its share is linear
 PIECE = 32  # Gauss nodes along a row of the pupil
 NODES = 9  # wavelengths between which differences of tables are cubic, as kernels are
@@ -151,7 +153,8 @@ def divided_energies(pupil: Pupil, wave, q: float, share: Share, down, across) -
     """
     (y, high, over_y), (x, wide, over_x) = share.rule(0), share.rule(1)
     rows, cols = (
-        (np.asarray(at)[:, None] / (2 * q) + nodes).ravel() for at, nodes in ((down, y), (across, x))
+        (np.asarray(at)[:, None] / (2 * q) + nodes).ravel()
+        for at, nodes in ((down, y), (across, x))
     )
     field = amplitude_at(pupil, wave, rows, cols).reshape(len(down), len(y), len(across), len(x))
     turned = field @ over_x.astype(np.complex64)
@@ -509,5 +512,5 @@ class SplitLens:
 def _reach_of(lens, wavelengths, distance, height=0.0) -> np.ndarray:
     """Return the rows, and columns, at which kernels differ from the whole lens's [sample], shape (n,)."""
     rays = lens.spread(wavelengths, height, distance) + max(lens.aperture)
-    most = int(ceil(rays + 2 * NEAR * float(np.max(lens.q(wavelengths))))) + 2
+    most = ceil(rays + 2 * NEAR * float(np.max(lens.q(wavelengths)))) + 2
     return np.arange(-most, most + 1)

@@ -133,7 +133,10 @@ def find_shares(camera: Camera, plan: Plan) -> np.ndarray:
     axis, middle = find_axis(optics, plan.scene.shape, sensor.pixel_pitch)[1], hypot(rows, cols) / 2
     y, x = (np.linspace(-0.5, n - 0.5, SHARE_NODES) for n in (rows, cols))
     places = [
-        [((i - (rows - 1) / 2 - axis[0]) / middle, (j - (cols - 1) / 2 - axis[1]) / middle) for j in x]
+        [
+            ((i - (rows - 1) / 2 - axis[0]) / middle, (j - (cols - 1) / 2 - axis[1]) / middle)
+            for j in x
+        ]
         for i in y
     ]
     found = np.array([[weights @ lens.totals(bands, place) for place in line] for line in places])

@@ -815,7 +815,7 @@ class Loop:
 
     @property
     def diodes(self) -> Any:
-        """Mean electrons of the photodiodes of dual or quad pixels, see `Exposure.diodes`. The next use rewrites them."""
+        """Mean electrons of photodiodes of dual or quad pixels, see `Exposure.diodes`; the next use rewrites them."""
         divided(self.simulator.camera)
         made, exposure = self.simulator.diodes_of(self.scene.shape), self.expose()
         operation = exposure.exposure_time, exposure.gain
@@ -824,10 +824,17 @@ class Loop:
         parts = []
         for loop, one in zip(self._diodes, made.simulators, strict=True):
             camera = one.camera if loop.simulator.camera is not one.camera else SAME
-            settings = dict(zip(("exposure_time", "gain"), operation, strict=True))
-            loop.update(camera=camera, scene=self.scene, brightness=self._brightness, **settings)
+            loop.update(
+                camera=camera,
+                scene=self.scene,
+                exposure_time=operation[0],
+                gain=operation[1],
+                brightness=self._brightness,
+            )
             parts.append(loop.output("mean"))
-        return made.divide(exposure.mean, parts, [loop.plan for loop in self._diodes], self.simulator.device)
+        return made.divide(
+            exposure.mean, parts, [loop.plan for loop in self._diodes], self.simulator.device
+        )
 
     def raw_dual(self, *, seed: int = 0, first: int = 0) -> Any:
         """Return raw values of the photodiodes of dual or quad pixels, see `Exposure.raw_dual`.
@@ -840,7 +847,10 @@ class Loop:
             A device array (n, rows, cols) [DN].
         """
         simulator, means, exposure = self.simulator, self.diodes, self.expose()
-        made, operation = simulator.diodes_of(self.scene.shape), (exposure.exposure_time, exposure.gain)
+        made, operation = (
+            simulator.diodes_of(self.scene.shape),
+            (exposure.exposure_time, exposure.gain),
+        )
         return made.draw(simulator, means, *operation, seed, first)
 
     def codes(self, *, seed: int = 0, first: int = 0) -> Any:

@@ -57,7 +57,11 @@ def cases():
         "a product and up to three differences of numbers below the whole, each rounded to half an ulp of it: below "
         "3 ulp of the largest pixel"
     )
-    for count, rows, cols, period in ((1, 1, 1, (1, 1)), (1, 33, 65, (2, 2)), (3, 17, 30, (17, 30))):
+    for count, rows, cols, period in (
+        (1, 1, 1, (1, 1)),
+        (1, 33, 65, (2, 2)),
+        (3, 17, 30, (17, 30)),
+    ):
         whole = random.uniform(0, 1000, (rows, cols)).astype(np.float32)
         parts = (whole * random.uniform(-0.2, 2.5, (count, rows, cols))).astype(np.float32)
         shares = random.uniform(0.2, 0.6, (count, *period)).astype(np.float32)

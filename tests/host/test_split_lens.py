@@ -88,7 +88,9 @@ def test_diodes_add_up_to_the_whole(split, pupil):
         total = 0.0
         for side in SPLITS[split]:
             lens = lens_of(dual, side, optics)
-            total = total + lens.kernels([500.0], place, 31, distance)[0] * lens.totals([500.0], place)
+            total = total + lens.kernels([500.0], place, 31, distance)[0] * lens.totals(
+                [500.0], place
+            )
         whole = lens.whole.kernels([500.0], place, 31, distance)[0]
         assert np.abs(total - whole).max() < 1e-6
 
@@ -145,7 +147,9 @@ def test_phases_are_a_half_discs():
 
 def test_in_focus_both_halves_are_the_same():
     """The field of a lens in focus is real, so that each window's light is even in its angle."""
-    left, right = (lens_of(gs.DualPixels(), side).kernels([550.0], (0, 0), 31) for side in ("left", "right"))
+    left, right = (
+        lens_of(gs.DualPixels(), side).kernels([550.0], (0, 0), 31) for side in ("left", "right")
+    )
     assert np.abs(left - right).max() < 1e-6
 
 
@@ -156,7 +160,10 @@ def test_moments_and_tables_are_the_kernels(pitch):
     lens = lens_of(gs.DualPixels(), "left", pitch=pitch, window=1.4e-6)
     at = np.arange(201) - 100
     rest = lens._differences(np.array([550.0]), (0.0, 0.0), 0.6, at)[0].sum(axis=0) @ at
-    found = lens.moments([550.0], (0.0, 0.0), 0.6)[0, 1] - lens.whole.moments([550.0], (0.0, 0.0), 0.6)[0, 1]
+    found = (
+        lens.moments([550.0], (0.0, 0.0), 0.6)[0, 1]
+        - lens.whole.moments([550.0], (0.0, 0.0), 0.6)[0, 1]
+    )
     assert found == pytest.approx(rest, rel=0.02)
 
 
@@ -177,8 +184,14 @@ def test_light_of_windows_is_the_pixels_light():
         ({"transition": -1}, "0 <= transition <= 1"),
         ({"crosstalk": 0.6}, "0 <= crosstalk <= 0.5"),
         ({"sparse": "masked"}, "wanted one or more"),
-        ({"sparse": "masked", "cell": (4, 4), "places": ((5, 0, "left"),)}, "within the cell of 4 x 4"),
-        ({"sparse": "masked", "split": "quad", "places": ((0, 0, "left"),)}, "one half of the pupil"),
+        (
+            {"sparse": "masked", "cell": (4, 4), "places": ((5, 0, "left"),)},
+            "within the cell of 4 x 4",
+        ),
+        (
+            {"sparse": "masked", "split": "quad", "places": ((0, 0, "left"),)},
+            "one half of the pupil",
+        ),
         ({"sparse": "shared", "cell": (4, 4), "places": ((0, 0, "left"),)}, "wanted pairs"),
         ({"places": ((0, 0, "left"),)}, "all pixels are divided"),
         ({"follows_chief_ray": 1}, "true or false"),
