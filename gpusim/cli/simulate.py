@@ -74,6 +74,11 @@ class SimulateRequest(Request):
     report: str | None = option(
         metavar="FILE.json", help="file of the report: models, times and errors"
     )
+    dual: str | None = option(
+        metavar="FILE.npz",
+        help="file of the photodiodes of dual pixels: raw values of each, and mean electrons; of several frames "
+        "numbered files",
+    )
     verify: bool = flag("also compute the float64 reference, and report the true error")
     verbose: bool = option(
         "-v",
@@ -93,6 +98,13 @@ class SimulateRequest(Request):
         self.refuse("verify", "the reference is of one frame at rest")
         return self.capture.frame_count
 
+    def dual_path(self, number: int) -> Path:
+        """Return the file of the photodiodes of a frame. Raises BadFile for another suffix than .npz."""
+        path = Path(self.dual or "")
+        if path.suffix != ".npz":
+            raise BadFile(path, "wanted a .npz file of photodiodes")
+        return path if self.count == 1 else numbered_path(path, number, self.count)
+
     def check_outputs(self) -> list[Callable[[int], Path]]:
         """Return a function from a frame's number to its path for each output.
 
@@ -103,6 +115,8 @@ class SimulateRequest(Request):
         from gpusim.io.atomic import check_output
         from gpusim.io.frame.frames import LOSSY, WITHOUT_PICTURE, frame_format
 
+        if self.capture is not None:
+            self.refuse("dual", "--capture has its own frames", "leave one of them out")
         outputs = [_number_files(path, self.count) for path in self.out]
         first = [output(0) for output in outputs]
         suffixes = {frame_format(path) for path in first}
@@ -119,13 +133,14 @@ class SimulateRequest(Request):
             return os.path.normcase(Path(folder(path.parent), path.name))
 
         report = [Path(self.report)] if self.report is not None else []
-        for path in (*first, *report):
+        dual = [self.dual_path(number) for number in range(self.count)] if self.dual else []
+        for path in (*first, *report, *dual[:1]):
             check_output(path)
         taken = {
             place(Path(name)): "is read" for name in (self.scene, self.camera) if Path(name).suffix
         }
         frames = (output(number) for output in outputs for number in range(self.count))
-        for path in (*report, *frames):
+        for path in (*report, *dual, *frames):
             here = place(path)
             if here in taken:
                 why = f"{taken[here]}, and would be overwritten; give each -o and --report its own name"
@@ -153,6 +168,10 @@ def simulate(request: SimulateRequest) -> int:
         return simulate_views(request)
     outputs = request.check_outputs()  # before the work
     camera, scene = request.open_camera(), request.open_scene()
+    if request.dual is not None:
+        from gpusim.pipeline.diodes import divided
+
+        divided(camera)
     simulator = request.open_simulator(camera)
     seen = replace(camera, sensor=simulator.readout.output)
     qualities = [request.quality if frame_format(path) in LOSSY else None for path in request.out]
@@ -186,9 +205,30 @@ def simulate(request: SimulateRequest) -> int:
             f"  {len(reports)} frames; median of those after the first "
             f"{sorted(report.ms for report in reports[1:])[(len(reports) - 1) // 2]:.2f} ms"
         )
+    if request.dual is not None:
+        _write_diodes(request, simulator.expose(scene))
     plain = [report.as_dict() for report in reports]
     write_json(request.report, plain[0] if request.count == 1 else plain)
     return 1 if any(report.meets_tolerance is False for report in reports) else 0
+
+
+def _write_diodes(request, exposure):
+    """Write raw values and mean electrons of the photodiodes, a file for each frame."""
+    import numpy as np
+
+    from gpusim.io.atomic import atomic_path
+
+    device, dual = exposure.device, exposure.simulator.camera.sensor.dual
+    means = np.asarray(device.numpy(exposure.diodes))
+    for number in range(request.frames):
+        raw = exposure.raw_dual(seed=request.seed, first=request.frame + number)
+        with atomic_path(request.dual_path(number)) as path:
+            np.savez(
+                path,
+                raw=np.asarray(device.numpy(raw)),
+                electrons=means,
+                names=np.array(dual.diodes),
+            )
 
 
 def _number_files(path, count):

@@ -24,7 +24,6 @@ from typing import Any
 
 import numpy as np
 import scipy.fft
-from numpy.polynomial.hermite_e import hermegauss
 from numpy.polynomial.legendre import leggauss, legvander
 from numpy.polynomial.polynomial import polyder, polyval2d
 
@@ -199,29 +198,32 @@ def split_differences(
             part, whole = part[inner, inner], whole[inner, inner]
         else:
             part, whole, scale = 0.0, 0.0, np.prod(aperture)
-            for weight, move in _images(spots, soft, one):
+            for weight, move in _images(spots):
                 places = (np.asarray(at) - shift[k] - move[k] for k in (0, 1))
                 both = divided_energies(pupil, wave, one, shares[band], *places)
                 part, whole = part + weight * both[0], whole + weight * both[1]
         out[band] = (part / totals[band] - whole) / scale
+        if soft and not by_rays:
+            out[band] = _diffuse(out[band], soft)
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         list(pool.map(make, range(len(waves))))
     return out
 
 
-def _images(spots, soft, q):
-    """Yield weights and displacements (rows, cols) of a low-pass filter's images and of a diffuser's."""
-    axes = []
-    for spot in spots:
-        at, weight = (np.array([-spot, spot]), np.full(2, 0.5)) if spot else (np.zeros(1), [1.0])
-        if soft:
-            nodes, of = hermegauss(5 + ceil(4 * soft / q))
-            at = np.add.outer(at, soft * nodes).ravel()
-            weight = np.outer(weight, of / of.sum()).ravel()
-        axes.append(list(zip(weight, at, strict=True)))
+def _images(spots):
+    """Yield weights and displacements (rows, cols) of a low-pass filter's images."""
+    axes = [[(0.5, -spot), (0.5, spot)] if spot else [(1.0, 0.0)] for spot in spots]
     for (first, y), (second, x) in product(*axes):
         yield first * second, (y, x)
+
+
+def _diffuse(kernel, soft):
+    """Return a kernel behind a diffuser. Frequencies that the samples fold are taken for the lower ones."""
+    f = np.fft.fftfreq(2 * len(kernel))
+    passed = np.exp(-2 * (np.pi * soft) ** 2 * (f[:, None] ** 2 + f**2))
+    wide = np.fft.ifft2(np.fft.fft2(kernel, passed.shape) * passed).real
+    return wide[: len(kernel), : len(kernel)]
 
 
 @lru_cache(maxsize=64)

@@ -105,6 +105,7 @@ ROWS = {
         "out": (CHART, "-o out.npz"),
         "bits": (f"{CHART} -o out.png", "--bits 16"),
         "quality": (f"{CHART} -o out.jpg", "--quality 20"),
+        "dual": (CHART.replace("phone", "dual.toml"), "--dual dual.npz"),
         "report": (CHART, "--report report.json"),
         "verify": (CHART, "--verify"),
         "verbose": (CHART, "--verbose"),
@@ -297,6 +298,7 @@ def inputs(tmp_path_factory):
         ("in_3", codes // 2),
     ):
         Image.fromarray(picture).save(folder / f"{name}.png")
+    (folder / "dual.toml").write_text('[sensor]\ndual = {split = "left-right"}\n')
     (folder / "stored.json").write_text(json.dumps(STORED))
     compared = *made_results(10, 3, sides=3), made_results(10, 3, change={1: 0.1})[1]
     compared[2]["rows"][0]["hash"] = "another"
