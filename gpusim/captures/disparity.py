@@ -300,7 +300,19 @@ def distance_from_disparity(
 ) -> np.ndarray:
     """Return the distance of objects that disparities stand for [m]; infinite for those beyond infinity.
 
-    Arguments and errors as of `defocus_from_disparity`.
+    Args:
+        values: Disparities, any shape [pixel].
+        camera: The camera.
+        place: Field point (y, x), 1 the frame's corner.
+        wavelength: [nm].
+        shape: Rows and columns of the frame; they matter if the border between diodes moves over the field.
+
+    Returns:
+        Distances [m].
+
+    Raises:
+        BadData: The lens does not blur.
+        Conflict: The camera has no dual or phase-detection pixels.
     """
     vergence = 1 / camera.optics.object_distance - defocus_from_disparity(
         values, camera, place, wavelength, shape

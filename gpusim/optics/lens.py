@@ -884,6 +884,27 @@ def open_lens(
     return SplitLens(whole, optics) if isinstance(optics, DiodeOptics) else whole
 
 
+def moved_apertures(
+    optics: Optics, displacement: tuple[float, float], ratio: float
+) -> tuple[float, float]:
+    """Return how far the blur displaces apertures from the samples, (rows, cols) [sample].
+
+    If pixels are several samples, weights of samples displace them. Windows of whole pixels are displaced to the
+    nearest sample, so that nothing is interpolated if the ratio is whole.
+
+    Args:
+        optics: Settings of the lens.
+        displacement: Of the apertures from a centred grid of pixels, (rows, cols) [pixel].
+        ratio: Samples per pixel.
+    """
+    if ratio == 1:
+        return displacement
+    if not isinstance(optics, DiodeOptics) or not float(ratio).is_integer():
+        return 0.0, 0.0
+    down, across = (((ratio - 1) / 2 + ratio * one) % 1.0 for one in displacement)
+    return down, across
+
+
 def lens_of(camera: Camera) -> Lens:
     """Return a camera's lens in front of its pixels."""
     sensor, pitch = camera.sensor, camera.sensor.pixel_pitch

@@ -110,17 +110,13 @@ class MaskedLens(PupilLens):
         """See `Lens`."""
         waves = self.waves(wavelengths, *polar(place), distance=distance)
         settings = size, tuple(self.aperture), self.spots, self.optics.diffuser / self.pitch
-        q, shifts = self.q(wavelengths), self._shifts(wavelengths, place)
+        q, shifts = self.q(wavelengths), self.image_shifts(wavelengths, place)
         return _kernels(self.optics.pupil, waves, q, shifts, self.is_coarse, *settings)
 
     def sketches(self, wavelengths, radius) -> np.ndarray:
         """See `Lens`."""
         found = self.kernels(wavelengths, (0.0, 0.0), 2 * radius + 1)
         return (found / found.sum(axis=(1, 2), keepdims=True)).astype(np.float32)
-
-    def _shifts(self, wavelengths, place):
-        """Displacement of a point's image by lateral colour and by the samples' apertures, (L, 2) [sample]."""
-        return self._colour_shifts(wavelengths, place) - np.array(self.displacement)
 
     def centroids(self, wavelengths, place, distance=None) -> np.ndarray:
         """See `Lens`. Steps of a mask's phase move light as slopes of the wavefront do."""
@@ -134,14 +130,14 @@ class MaskedLens(PupilLens):
         light = self.centroids(wavelengths, place, distance)
         waves = self.waves(wavelengths, *polar(place), distance=distance)
         settings = tuple(self.aperture), self.spots, self.optics.diffuser / self.pitch
-        q, shifts = self.q(wavelengths), self._shifts(wavelengths, place)
+        q, shifts = self.q(wavelengths), self.image_shifts(wavelengths, place)
         return _moments(self.optics.pupil, waves, q, shifts, *settings, light)
 
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """See `Lens`."""
         optics, place = self.optics, tuple(np.asarray(spot[:2]).tolist())
         waves = self.waves(wavelengths, *polar(place), distance=float(spot[4]) or None)
-        q, shifts = self.q(wavelengths), self._shifts(wavelengths, place) + spot[2:4]
+        q, shifts = self.q(wavelengths), self.image_shifts(wavelengths, place) + spot[2:4]
         settings = self.aperture, self.spots, optics.diffuser / self.pitch
         found = [
             masked_energies(optics.pupil, wave, one, shift, at, at, *settings)

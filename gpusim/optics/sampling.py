@@ -79,15 +79,15 @@ def pixel_taps(
 
 
 def point_taps(
-    samples: int, pixels: int, ratio: float, start: float, displacement: float = 0.0
+    samples: int, pixels: int, ratio: float, start: float, displacement: float, moved: float
 ) -> Taps:
     """Weights of `samples` that are means over whole pixels already: polynomials through NODES of them, at centres.
 
-    Arguments as of `pixel_taps`.
+    Arguments as of `pixel_taps`. moved: of the means from the middles of the samples [sample].
     """
     centres = start + ratio * (np.arange(pixels) + 0.5 + displacement)
     # the middle of sample k is at k + 1/2
-    first, weights = _cumulative(centres - 0.5, samples - 1, NODES)
+    first, weights = _cumulative(centres - 0.5 - moved, samples - 1, NODES)
     return Taps(first.astype(np.int32), weights, centres)
 
 

@@ -24,7 +24,7 @@ from gpusim.optics.highlights import (
 )
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lengths import Tiling
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lens import lens_of, moved_apertures
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.layers import composite_layers, prepare_layers
 from gpusim.pipeline.light import (
@@ -487,7 +487,7 @@ class _Steps:
         across = np.minimum(2 * lights.reach, max(plan.content.shape))
         ratio, optics = plan.scene.samples_per_pixel, plan.camera.optics
         pitch, aperture = self.imaging.tables.grid(ratio)
-        displacement = self.sensor.displacement if ratio == 1 else (0.0, 0.0)
+        displacement = moved_apertures(optics, self.sensor.displacement, ratio)
         chain.steps.append(
             Step(
                 "kernels of points",

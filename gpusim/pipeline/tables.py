@@ -19,7 +19,7 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.processor.sharpen import system_kernel
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.lens import open_lens, wavelength_nodes
+from gpusim.optics.lens import moved_apertures, open_lens, wavelength_nodes
 from gpusim.optics.psf import fastest_turn
 from gpusim.optics.rays import AFFORDABLE
 from gpusim.optics.tables import add_spectra, exact_tables, transfer_tables
@@ -119,8 +119,9 @@ class LensTables:
     def _made_of(self, plan) -> tuple:
         """Everything that tables of wavelengths depend on: lens, distance and size of samples, displacement, and q."""
         ratio = plan.scene.samples_per_pixel
-        displacement = self.camera.sensor.displacement if ratio == 1 else (0.0, 0.0)
-        return self.camera.optics, *self.grid(ratio), displacement, plan.q
+        optics = self.camera.optics
+        displacement = moved_apertures(optics, self.camera.sensor.displacement, ratio)
+        return optics, *self.grid(ratio), displacement, plan.q
 
     def all_bands(self, plan: Plan, distance: float | None = None):
         """Return transfer tables of every wavelength of a plan, as the stages take them.

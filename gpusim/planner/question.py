@@ -17,7 +17,7 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import IMAGE, Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.geometry import rim_of
-from gpusim.optics.lens import Lens, open_lens
+from gpusim.optics.lens import Lens, moved_apertures, open_lens
 from gpusim.optics.panorama import lens_key
 from gpusim.optics.tables import Caching, Tables
 from gpusim.planner.facts import Facts
@@ -115,7 +115,7 @@ class Question:
             pitch,
             cell,
             scene.samples,
-            sensor.displacement if ratio == 1 else (0.0, 0.0),
+            moved_apertures(optics, sensor.displacement, ratio),
             (ratio * axis[0], ratio * axis[1]),
         )
         rim = 0

@@ -100,6 +100,18 @@ def test_disparity_is_linear_in_defocus_over_the_field(dual):
         )
 
 
+@pytest.mark.parametrize("samples", [1.0, 2.0])
+def test_in_focus_both_pictures_are_the_same(samples):
+    """The field of a lens in focus is real. Kernels end 12 lambda N beyond the rays: their light is equal too."""
+    camera = gs.open_camera("mono").with_(
+        pixel_pitch_um=2.0, f_number=2.0, exposure_time_ms=5, dual=gs.DualPixels()
+    )
+    scene = stars([(15, 40)], (32, 48), samples)
+    exposure = gs.Simulator(camera, device=FAST).expose(scene)
+    left, right = np.asarray(exposure.device.numpy(exposure.diodes))
+    assert np.abs(left - right).max() < 1e-4 * left.max()
+
+
 def _apart(pictures, row, col):
     """Distance of the centroids of both pictures of a point [pixel]."""
     sums = []

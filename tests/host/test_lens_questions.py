@@ -21,6 +21,7 @@ ASKING = {
     "gpusim/domain/pupil.py",  # the geometry of pupils
     "gpusim/optics/lens.py",  # the classes
     "gpusim/optics/masked_lens.py",
+    "gpusim/optics/split_lens.py",
     "gpusim/judge/truth_depth.py",  # the truth asks for itself
     "gpusim/judge/truth_lens.py",
     "gpusim/judge/truth_pupil.py",

@@ -75,7 +75,8 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
         more = spare if is_blurred else ceil(ratio * abs(move))
         start = more + frame_start(n, pixels, ratio)
         if question.lens.has_pixel_windows:
-            axes.append(point_taps(n + 2 * more, pixels, ratio, start, move))
+            moved = question.lens.displacement[len(axes)]
+            axes.append(point_taps(n + 2 * more, pixels, ratio, start, move, moved))
             continue
         nodes = NODES if is_blurred else AREA
         taps = pixel_taps(n + 2 * more, pixels, ratio, width, start, nodes, move)
