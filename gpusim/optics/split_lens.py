@@ -499,6 +499,10 @@ class SplitLens:
         """See `Lens`."""
         return self.whole.q(wavelengths)
 
+    def nanometres(self, q) -> np.ndarray:
+        """Return the wavelengths [nm] of q, shape (L,)."""
+        return self.whole.nanometres(q)
+
     def waves(self, wavelengths, height=0.0, azimuth=0.0, distance=None) -> np.ndarray:
         """See `Lens`."""
         return self.whole.waves(wavelengths, height, azimuth, distance)
