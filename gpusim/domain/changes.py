@@ -41,7 +41,15 @@ OBJECTS = {
     "table": FilterTable,
     "network": Network,
 }
-NONE = ("psf", "distortion", "microlens", "lenslets", "dual", "table", "network")  # fields that None resets
+NONE = (
+    "psf",
+    "distortion",
+    "microlens",
+    "lenslets",
+    "dual",
+    "table",
+    "network",
+)  # fields that None resets
 WAVEFRONT = {"zernike", "heights", "seidel", "reference"}
 # Fields that a noise profile replaces
 GAINS = {"conversion_gain", "adc_range", "analog_gain", "analog_offset"}

@@ -40,6 +40,7 @@ SPARE = (
 )
 TABLE = 4097  # places of the pupil between which its share is linear
 PIECE = 32  # Gauss nodes along a row of the pupil
+LEAST_PASSED = 0.1  # of the window, where its transfer is divided out
 NODES = 9  # wavelengths between which differences of tables are cubic, as kernels are
 
 
@@ -303,6 +304,11 @@ class SplitLens:
         return self.whole.is_adjustable
 
     @property
+    def has_point_kernels(self) -> bool:
+        """See `Lens`."""
+        return self.whole.has_point_kernels
+
+    @property
     def symmetry(self):
         """See `Lens`."""
         return replace(self.whole.symmetry, is_round=False, is_mirrored=False, is_opposite=False)
@@ -402,12 +408,13 @@ class SplitLens:
         return whole + (len(at) * wide - near.shape[-1] * half) / (len(at) - near.shape[-1])
 
     def transfer(self, wavelengths, fy, fx, place=(0.0, 0.0), distance=None) -> np.ndarray:
-        """See `Lens`. The window's transfer belongs to the division of the light, and is included."""
+        """See `Lens`. Where the window passes nearly nothing, it is the whole lens's."""
         wavelengths, (fy, fx) = np.atleast_1d(wavelengths), np.broadcast_arrays(fy, fx)
         fy, fx = np.atleast_1d(fy).astype(float), np.atleast_1d(fx).astype(float)
         found = self.whole.transfer(wavelengths, fy, fx, place, distance)
-        found = found * np.sinc(self.aperture[0] * self.pitch * fy)
-        found *= np.sinc(self.aperture[1] * self.pitch * fx)
+        height, width = (side * self.pitch for side in self.aperture)
+        window = np.sinc(height * fy) * np.sinc(width * fx)
+        kept = np.where(np.abs(window) > LEAST_PASSED, 1 / np.where(window == 0, 1, window), 0)
         for own, wavelength in zip(found, wavelengths, strict=True):
             # samples so fine that no frequency is folded
             pitch = min(self.pitch, 0.45 / self.cutoff(float(wavelength)))
@@ -415,7 +422,7 @@ class SplitLens:
             at = _reach_of(lens, [wavelength], distance, float(np.hypot(*place)))
             rest = lens._differences([wavelength], place, distance, at)[0]
             down, across = (np.exp(-2j * np.pi * pitch * np.outer(f, at)) for f in (fy, fx))
-            own += np.einsum("fy,yx,fx->f", down, rest, across, optimize=True)
+            own += kept * np.einsum("fy,yx,fx->f", down, rest, across, optimize=True)
         return found
 
     def at_pitch(self, pitch: float) -> "SplitLens":

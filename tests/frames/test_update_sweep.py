@@ -169,6 +169,7 @@ focal_length_mm = 4.44
 # and lenslets need a light field
 SILENT = {
     "name",
+    "dual",
     "luminance_cd_per_m2",
     "row_time_us",
     "telegraph_switching",

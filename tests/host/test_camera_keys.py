@@ -67,6 +67,7 @@ VALUES = {
             "focal_length_um": 40,
             "layout": "hexagonal",
             "gap_um": "auto",
+        },
         "dual": {
             "split": "up-down",
             "transition": 0.1,

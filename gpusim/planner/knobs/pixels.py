@@ -68,7 +68,7 @@ def taps_of(question: Question, most: float = inf) -> tuple[tuple[Taps, Taps] | 
     if ratio == 1 and (is_blurred or not question.more):
         return None, 0
     spare = int(min(SPARE + question.more, most)) if is_blurred else 0
-    axes = []
+    axes: list[Taps] = []
     for n, pixels, width, move in zip(
         scene.samples, scene.shape, question.aperture, question.sensor.displacement, strict=True
     ):
