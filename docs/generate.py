@@ -32,6 +32,8 @@ SAID = {
     "defocus_diopters": "The defocus in dioptres; give only one of the two.",
     "defocus_um": "Distance of the sensor behind the image; a curve for axial colour.",
     "diffuser_um": "Standard deviation of a Gaussian diffuser, at the sensor.",
+    "mask": "Mask in the pupil: a picture (its grey values are the shares of light that pass), an array of amplitudes "
+    "(`.npy`, `.npz`), a name such as `mura-13` or `gaussian`, or rows of shares of light. See [Masks](../masks.md).",
     "psf": "Measured point spreads, an .npz file in the folder of the camera file: `lens.npz` in [Files](../files.md).",
     "photodetector": "A second factor of `qe`, for example for the photodiode behind the colour filters.",
     "ir_cut": 'A third factor of `qe`: the infrared filter in front of the sensor. "none": there is none.',
@@ -79,6 +81,7 @@ GROUPS = {  # by the module of a public name, in the order of the page
         "io.camera.cameras",
         "domain.camera",
         "domain.optics",
+        "domain.mask",
         "domain.sensor",
         "domain.noise",
         "domain.exposure",

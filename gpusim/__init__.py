@@ -61,6 +61,7 @@ _NAMES = {
     "domain.illuminated": ("Illuminated",),
     "domain.light_field": ("LightField",),
     "domain.lenslets": ("Lenslets",),
+    "domain.mask": ("Mask", "pupil_cells"),
     "domain.motion": ("Motion",),
     "domain.noise": ("Noise",),
     "domain.optics": ("Optics",),
@@ -160,6 +161,7 @@ if TYPE_CHECKING:
     from gpusim.domain.illuminated import Illuminated as Illuminated
     from gpusim.domain.light_field import LightField as LightField
     from gpusim.domain.lenslets import Lenslets as Lenslets
+    from gpusim.domain.mask import Mask as Mask, pupil_cells as pupil_cells
     from gpusim.domain.motion import Motion as Motion
     from gpusim.domain.noise import Noise as Noise
     from gpusim.domain.optics import Optics as Optics

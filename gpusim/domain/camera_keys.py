@@ -301,6 +301,18 @@ def _map(value):
     return np.array([_numbers()(row) for row in value])
 
 
+def _mask(value):
+    """Return the name of a mask or of its file, or rows of shares of light."""
+    if type(value) is str:
+        return value
+    try:
+        return _map(value)
+    except _Wanted:
+        raise _Wanted(
+            'a file, such as "mask.png", a name, such as "mura-13", or a list of equally long lists of numbers'
+        ) from None
+
+
 def _wholes(value):
     if type(value) is not list or len(value) != 2 or any(type(item) is not int for item in value):
         raise _Wanted("a list of 2 whole numbers")
@@ -356,6 +368,7 @@ _OPTICS = {
     "relative_illumination": ("relative_illumination", _illumination),
     "object_distance_m": ("object_distance", _number()),
     "pupil": ("pupil", _pupil),
+    "mask": ("mask", _mask),
     "defocus_um": ("defocus", _micrometres_or_curve),
     "defocus_diopters": ("diopters", _number()),
     "zernike_waves": ("zernike", _numbers_or_lists),

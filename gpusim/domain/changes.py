@@ -13,6 +13,7 @@ from gpusim.domain.exposure import AutoExposure
 from gpusim.domain.filters import Filters
 from gpusim.domain.learned import FilterTable
 from gpusim.domain.lenslets import Lenslets
+from gpusim.domain.mask import Mask
 from gpusim.domain.network import Network
 from gpusim.domain.noise import reset_noise
 from gpusim.domain.processor import fit_to_mosaic
@@ -31,6 +32,7 @@ OBJECTS = {
     "photodetector_curve": Spectrum,
     "ir_cut": Spectrum,
     "pupil": Pupil,
+    "mask": Mask,
     "psf": PointSpread,
     "distortion": Distortion,
     "calibration": Distortion,
@@ -43,6 +45,7 @@ OBJECTS = {
 }
 NONE = (
     "psf",
+    "mask",
     "distortion",
     "microlens",
     "lenslets",
@@ -149,6 +152,10 @@ def _lens(optics, fields):
         if "distortion" in fields:
             raise BadData("calibration and distortion: wanted one of them")
         fields["distortion"] = fields.pop("calibration")
+    if {"mask", "pupil"} & fields.keys():  # a mask stays in another pupil
+        pupil = fields.get("pupil", optics.pupil)
+        mask = fields.pop("mask", pupil.mask or optics.pupil.mask)
+        fields["pupil"] = replace(pupil, mask=mask)
     diopters = fields.pop("diopters", None)
     wavefront = {key: fields.pop(key) for key in WAVEFRONT & fields.keys()}
     if wavefront:

@@ -51,6 +51,7 @@ VALUES = {  # of every key, and of others that it needs, also in another section
         "defocus_um": "4.0",
         "defocus_diopters": "0.5",
         "pupil": "{blades = 6, obscuration = 0.2, rotation_deg = 10}",
+        "mask": "[[1, 0.5], [0, 1]]",
         "zernike_waves": "[0, 0, 0, 0.05]",
         "zernike_heights": "[0.0, 1.0]\nzernike_waves = [[0, 0, 0, 0.05], [0, 0, 0, 0.1]]",
         "seidel_waves": "[0.1, 0, 0, 0, 0]",

@@ -37,6 +37,7 @@ VALUES = {
         "relative_illumination": [1.0, -0.2],
         "object_distance_m": 3.0,
         "pupil": {"blades": 6, "rotation_deg": 10},
+        "mask": "mask.npy",
         "defocus_um": 3.0,
         "birefringence_um": [1.0, 0.5],
         "diffuser_um": 0.7,
@@ -162,6 +163,7 @@ def folder(tmp_path, monkeypatch):
     (tmp_path / "a.dng").write_bytes(dng(profile=(1e-3, 2e-5)))
     spread = np.zeros((2, 9, 9))
     spread[:, 4, 4] = 1
+    np.save(tmp_path / "mask.npy", [[1, 0.5j], [0, 1]])
     np.savez(tmp_path / "lens.npz", wavelengths_nm=[400.0, 700.0], psf=spread, spacing_um=1.0)
     return tmp_path
 

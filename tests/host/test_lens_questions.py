@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim.domain.mask import pupil_cells
+from gpusim.domain.mask import Mask
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil
@@ -24,6 +24,7 @@ ASKING = {
     "gpusim/optics/split_lens.py",
     "gpusim/judge/truth_depth.py",  # the truth asks for itself
     "gpusim/judge/truth_lens.py",
+    "gpusim/judge/truth_mask.py",
     "gpusim/judge/truth_pupil.py",
 }
 SETTINGS = {"varies", "is_ideal", "is_symmetric", "has_mirror", "blades"}
@@ -54,7 +55,7 @@ LENSES = {
     "clear": OPTICS,
     "hexagon": replace(OPTICS, pupil=Pupil(6)),
     "out of focus": replace(OPTICS, defocus=8e-6),
-    "mask": replace(OPTICS, defocus=8e-6, pupil=Pupil(mask=pupil_cells((1, 2))[0][1])),
+    "mask": replace(OPTICS, defocus=8e-6, pupil=Pupil(mask=Mask([[1, 0.8], [0.5j, 1]]))),
     "measured": replace(OPTICS, model="measured", psf=SPREAD),
     "no blur": replace(OPTICS, model="none"),
 }

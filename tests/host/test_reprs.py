@@ -70,6 +70,7 @@ def objects():
         SIMULATE.batch(2),
         gs.PictureBatch(PHONE, device="numpy"),
         gs.View(),
+        gs.Mask(np.ones((64, 64))),
         gs.Motion(),
         gs.Flicker(100.0),
         gs.EventSensor(),

@@ -182,6 +182,7 @@ def other_values(control, value):
 
 EXAMPLES = {
     "optics.psf": ["missing.npz"],
+    "optics.mask": [[[1, 0], [1, 1]]],
     "optics.zernike_waves": [[0.0, 0.0, 0.0, 0.15]],
     "optics.zernike_heights": [[0.0, 1.0]],
     "optics.birefringence_um": [[1.4, 1.4]],

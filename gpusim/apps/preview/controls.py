@@ -180,6 +180,7 @@ GROUPS: dict[str, tuple[Control, ...]] = {
             unit="degree",
             default=0.0,
         ),
+        _text("optics", "mask", "mask in the pupil", ("mura-7", "gaussian")),
         _choice("optics", "model", "model", MODELS),
         _text("optics", "psf", "measured PSF"),
     ),

@@ -69,6 +69,7 @@ def _as_in_file(value, read):
         return float(f"{value / one:.12g}") if isinstance(one, float) else value
     if isinstance(value, Pupil):
         found = asdict(value)
+        found.pop("mask")
         turned = float(np.degrees(found.pop("rotation")))
         return found | {"rotation_deg": float(f"{turned:.12g}")}
     if isinstance(value, AutoExposure):

@@ -32,11 +32,12 @@ from gpusim.domain.errors import (
     one_line,
 )
 from gpusim.domain.filters import Filters
+from gpusim.domain.mask_patterns import mask_pattern
 from gpusim.domain.mosaics import MOSAICS
 from gpusim.domain.noise import Noise, reset_noise
 from gpusim.domain.optics import Optics
 from gpusim.domain.processor import Processor, fit_to_mosaic
-from gpusim.domain.pupil import Wavefront
+from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.sensor import Sensor
 from gpusim.domain.spectrum import Spectrum
 from gpusim.domain.units import (
@@ -460,6 +461,10 @@ def _lens(path, fields):
         fields["lateral_color"] = read_curve(
             path, "[optics] lateral_color", fields["lateral_color"], has_shares=False
         )
+    if "mask" in fields:
+        with _name_key_in_errors(path, "[optics] mask"):
+            mask = _mask_of(path.parent, fields.pop("mask"))
+            fields["pupil"] = dataclasses.replace(fields.get("pupil", Pupil()), mask=mask)
     if "psf" in fields:
         from gpusim.io.camera.psf import read_psf
 
@@ -554,6 +559,15 @@ def read_part(key: str, field: str, given):
         raise BadData(f"{key}: {why}") from None
 
 
+def _mask_of(folder, given):
+    """Return the mask of a name, of a file in a folder, or of shares of light."""
+    from gpusim.io.camera.masks import mask_of_light, read_mask
+
+    if not isinstance(given, str):
+        return mask_of_light(given)
+    return read_mask(folder / given) if Path(given).suffix else mask_pattern(given)
+
+
 def _part(here, key, field, given):
     if field == "target":
         illuminant(given)
@@ -577,6 +591,8 @@ def _part(here, key, field, given):
         from gpusim.io.camera.calibration import read_calibration
 
         return read_calibration(Path(given["file"]), given.get("camera"))
+    if field == "mask":
+        return _mask_of(Path(), given)
     if field == "psf":
         from gpusim.io.camera.psf import read_psf
 
