@@ -215,14 +215,14 @@ def fit_samples(camera: Camera, shape: tuple[int, int]) -> LensletSamples:
     with warnings.catch_warnings():  # the second call repeats them
         warnings.simplefilter("ignore")
         pitch = lenslet_samples(lenslets, sensor, optics, (least, least)).pitch
-    pixels = tuple(max(round(n * pitch / sensor.pixel_pitch), 1) for n in shape)
-    wanted = lenslet_samples(lenslets, sensor, optics, pixels)
+    rows, cols = (max(round(n * pitch / sensor.pixel_pitch), 1) for n in shape)
+    wanted = lenslet_samples(lenslets, sensor, optics, (rows, cols))
     # samples lie on those wanted; both grids are symmetric about their middles
-    moved = tuple(
+    down, across = (
         (own + (n - size) / 2 + 0.5) % 1 - 0.5
         for own, n, size in zip(wanted.offset, wanted.shape, shape, strict=True)
     )
-    return replace(wanted, shape=tuple(shape), offset=moved)
+    return replace(wanted, shape=(shape[0], shape[1]), offset=(down, across))
 
 
 def camera_at_lenslets(camera: Camera, samples: LensletSamples) -> Camera:

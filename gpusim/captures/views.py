@@ -14,7 +14,7 @@ from gpusim.domain.account import UNKNOWN, Account
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, DoesNotFit, OutOfRange
 from gpusim.domain.light_field import LightField
-from gpusim.domain.mask import LEAST_LIGHT, Mask, pupil_cells
+from gpusim.domain.mask import LEAST_LIGHT, pupil_cells
 from gpusim.domain.scene import Scene, View, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.domain.view_images import ViewImages
@@ -156,7 +156,9 @@ class ViewCapture:
                 f"{self.shape[0]} x {self.shape[1]} views", needed, device.memory, device.name
             )
         self.plans = {at: own.plan(self._scene_of(at)) for at, own in self._cells.items()}
-        self._tape, self._taken_of, self._rates = Tape(), None, None
+        self._tape = Tape()
+        self._taken_of: Scene | LightField | None = None
+        self._rates: Any = None
 
     def _scene_of(self, at: tuple[int, int]) -> Scene:
         """Return the scene that a cell sees."""
@@ -341,38 +343,17 @@ def divide_pupil(camera: Camera, shape: tuple[int, int]) -> tuple[np.ndarray, di
         BadData: The lens is no pupil with a wavefront.
         OutOfRange: There are fewer than one or more than 256 cells along an axis.
     """
-    optics = camera.optics
-    if optics.model != "diffraction":
-        why = (
-            "measured point spreads hold no wave"
-            if optics.psf
-            else "a lens without blur has no pupil"
-        )
-        raise BadData(
-            f'optics.model "{optics.model}": {why}, so it cannot be divided into cells; use model "diffraction"'
-        )
-    own, found, shares = optics.pupil, {}, np.zeros(shape)
+    optics, found, shares = camera.optics, {}, np.zeros(shape)
     for j, row in enumerate(pupil_cells(shape)):
         for i, cell in enumerate(row):
             try:
-                found[j, i] = replace(own, mask=combine_masks(own.mask, cell))
+                own = optics.with_mask(cell).pupil
             except OutOfRange:
                 continue  # no light passes
-            shares[j, i] = found[j, i].area / own.area
-            if shares[j, i] < LEAST_LIGHT:
-                del found[j, i]
+            shares[j, i] = own.area / optics.pupil.area
+            if shares[j, i] >= LEAST_LIGHT:
+                found[j, i] = own
     return shares / shares.sum(), found
-
-
-def combine_masks(first: Mask | None, second: Mask) -> Mask:
-    """Return two masks, one behind the other. Raises BadData if their cells have no common grid that is fine enough."""
-    if first is None:
-        return second
-    shape = np.lcm(first.values.shape, second.values.shape)
-    fine = [
-        np.kron(one.values, np.ones(shape // np.array(one.values.shape))) for one in (first, second)
-    ]
-    return Mask(fine[0] * fine[1])
 
 
 def check_radius(camera: Camera, light_field: LightField) -> None:

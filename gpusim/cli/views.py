@@ -35,6 +35,7 @@ def simulate_views(request: "SimulateRequest") -> int:
     from gpusim.io.frame.view_images import save_views
 
     _check(request)
+    assert request.views is not None
     for path in request.out:
         check_output(path)
     camera, scene = request.open_camera(), request.open_scene()

@@ -119,3 +119,23 @@ def pupil_cells(shape: tuple[int, int]) -> list[list[Mask]]:
         raise OutOfRange("pupil cells", tuple(shape), f"1 .. {MOST_CELLS} along each axis")
     every = np.eye(shape[0] * shape[1]).reshape(*shape, *shape)
     return [[Mask(one) for one in row] for row in every]
+
+
+def combine_masks(first: Mask, second: Mask) -> Mask:
+    """Return two masks, one behind the other, on the coarsest common grid.
+
+    Raises:
+        BadData: The grid has more than 256 cells on a side.
+        OutOfRange: No light passes.
+    """
+    shapes = [one.values.shape for one in (first, second)]
+    shape = np.lcm(*shapes)
+    if shape.max() > MOST_CELLS:
+        raise BadData(
+            f"optics.mask: masks of {shapes[0]} and {shapes[1]} cells together need {tuple(shape.tolist())}; at most "
+            f"{MOST_CELLS} on a side"
+        )
+    fine = [
+        np.kron(one.values, np.ones(shape // np.array(one.values.shape))) for one in (first, second)
+    ]
+    return Mask(fine[0] * fine[1])

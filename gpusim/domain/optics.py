@@ -7,6 +7,7 @@ import numpy as np
 
 from gpusim.domain.distortion import Distortion
 from gpusim.domain.errors import BadData, OutOfRange, UnknownName, check_fields, within
+from gpusim.domain.mask import Mask, combine_masks
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import LONGEST_WAVEFRONT, Pupil, Wavefront, disc_power, symmetric
 from gpusim.domain.short_repr import short_repr
@@ -269,6 +270,31 @@ class Optics:
         if self.psf is not None:
             return self.psf.heights is not None or self.psf.grid is not None
         return bool(self.wavefront.heights) or any(self.wavefront.seidel[1:])
+
+    def with_mask(self, mask: Mask) -> "Optics":
+        """Return the lens with another mask in its pupil, behind the one that it has.
+
+        Args:
+            mask: The mask.
+
+        Returns:
+            The lens.
+
+        Raises:
+            BadData: It has no pupil with a wave, or the masks have no common grid of 256 cells or fewer on a side.
+            OutOfRange: No light passes.
+        """
+        if self.model != "diffraction":
+            why = (
+                "measured point spreads hold no wave"
+                if self.psf
+                else "a lens without blur has no pupil"
+            )
+            raise BadData(f'optics.model "{self.model}": {why}; use model "diffraction"')
+        own = self.pupil.mask
+        if own is not None:
+            mask = combine_masks(own, mask)
+        return replace(self, pupil=replace(self.pupil, mask=mask))
 
     def without_blur(self) -> "Optics":
         """Return the same lens without blur.
