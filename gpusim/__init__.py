@@ -30,6 +30,7 @@ _NAMES = {
         "disparity_slope",
         "distance_from_disparity",
     ),
+    "captures.coded_depth": ("CodedDepth", "coded_kernels", "find_coded_depth"),
     "captures.events": ("EventSensor", "events_of"),
     "captures.focus": ("autofocus",),
     "captures.lenslets": ("apply_lenslets",),
@@ -113,6 +114,9 @@ if TYPE_CHECKING:
     from gpusim.captures.disparity import disparity as disparity
     from gpusim.captures.disparity import disparity_slope as disparity_slope
     from gpusim.captures.disparity import distance_from_disparity as distance_from_disparity
+    from gpusim.captures.coded_depth import CodedDepth as CodedDepth
+    from gpusim.captures.coded_depth import coded_kernels as coded_kernels
+    from gpusim.captures.coded_depth import find_coded_depth as find_coded_depth
     from gpusim.captures.events import EventSensor as EventSensor, events_of as events_of
     from gpusim.captures.focus import autofocus as autofocus
     from gpusim.captures.lenslets import apply_lenslets as apply_lenslets

@@ -58,7 +58,8 @@ class Edges:
 
     def rays(self, wave) -> np.ndarray:
         """Return where rays through the edges meet the image, (y, x), shape (2, E) [2 q sample]."""
-        return -np.array([polyval2d(*self.places, polyder(wave, axis=axis)) for axis in (1, 0)])
+        x, y = self.places
+        return -np.array([polyval2d(x, y, polyder(wave, axis=axis)) for axis in (1, 0)])
 
     def mean_rays(self, waves, q) -> np.ndarray:
         """Return the mean place where rays through the edges meet the image, (L, 2) [sample]."""

@@ -33,7 +33,9 @@ class MaskedLens(PupilLens):
     @cached_property
     def symmetry(self) -> Symmetry:
         """See `Lens`."""
-        own, values = super().symmetry, self.optics.pupil.mask.values
+        own, mask = super().symmetry, self.optics.pupil.mask
+        assert mask is not None
+        values = mask.values
         is_mirrored = bool((values == values[::-1]).all() and (values == values[:, ::-1]).all())
         is_opposite = bool((values == values[::-1, ::-1]).all())
         return Symmetry(False, own.is_mirrored and is_mirrored, own.is_opposite and is_opposite)

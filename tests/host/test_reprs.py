@@ -70,6 +70,7 @@ def objects():
         SIMULATE.batch(2),
         gs.PictureBatch(PHONE, device="numpy"),
         gs.View(),
+        gs.CodedDepth(np.ones((6, 8)), np.zeros((6, 8), int), np.ones((2, 6, 8))),
         gs.Mask(np.ones((64, 64))),
         gs.Motion(),
         gs.Flicker(100.0),
