@@ -22,7 +22,6 @@ ASKING = {
     "gpusim/optics/lens.py",  # the classes
     "gpusim/optics/masked_lens.py",
     "gpusim/optics/split_lens.py",
-    "gpusim/judge/truth_depth.py",  # the truth asks for itself
     "gpusim/judge/truth_lens.py",
     "gpusim/judge/truth_mask.py",
     "gpusim/judge/truth_pupil.py",
