@@ -13,7 +13,7 @@ from scipy.signal import fftconvolve
 
 import gpusim as gs
 from gpusim.captures.coded_depth import coded_kernels, find_coded_depth
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 
 HERE = Path(__file__).parent / "pictures"
 ELECTRONS = 10_000

@@ -22,7 +22,8 @@ from scipy.ndimage import gaussian_filter
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
-from gpusim.optics.lens import lens_of, wavelength_nodes
+from gpusim.optics.lens import wavelength_nodes
+from gpusim.optics.lenses import lens_of
 
 LOWEST = 0.01  # f_0 [cycle/pixel]
 WINDOW = 8.0  # [pixel] standard deviation of the window, by default

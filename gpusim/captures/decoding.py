@@ -90,7 +90,10 @@ def calibrate_lenslets(white: np.ndarray, period: tuple[int, int] = (1, 1)) -> L
     Raises:
         BadData: The frame has no regular grid, or fewer than 3 lenslets in a direction.
     """
-    white = np.asarray(white, np.float64)
+    try:
+        white = np.asarray(white, np.float64)
+    except (TypeError, ValueError):
+        raise BadData("white: wanted rows of numbers") from None
     if white.ndim != 2 or not np.isfinite(white).all():
         raise BadData(f"white: shape {white.shape}; wanted (rows, cols) of finite numbers")
     white = _even_out(white, period)

@@ -17,10 +17,10 @@ import scipy.ndimage
 import scipy.signal
 from numpy.typing import ArrayLike
 
-from gpusim.domain.camera import Camera
+from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.short_repr import short_repr
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.optics.split_lens import SplitLens
 from gpusim.pipeline.diodes import diode_camera, divided, is_sparse
 
@@ -241,7 +241,7 @@ def disparity_slope(
 
 
 def _scale(camera, place, wavelength, shape=(1, 1)) -> _Scale:
-    dual = camera.sensor.dual
+    dual = checked_camera(camera).sensor.dual
     if not is_sparse(camera):
         dual = divided(camera)
     axis = 0 if dual.split == "up-down" else 1

@@ -70,6 +70,9 @@ class Views:
         """Return the views as linear pictures in the display's colours, all of one brightness, white 1.
 
         White is a perfect white diffuser in the scene's light; if the light is not known, the brightest value.
+
+        Returns:
+            The pictures, for example for `gpusim.refocus`.
         """
         (at, made), areas = next(iter(self.plans.items())), self.areas
         even = np.divide(1, areas, out=np.zeros(areas.shape), where=areas > LEAST_LIGHT)

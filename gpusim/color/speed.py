@@ -14,7 +14,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.sensor import FLOAT_BITS, Sensor
 from gpusim.domain.spectrum import photons_from_energy
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 
 LIGHT = "D55"  # daylight of ISO 7589, which ISO 12232 prescribes
 # [lx s] The exposure 10 / S of a mean scene is 12.8 % of saturation: 18 % minus half a stop.

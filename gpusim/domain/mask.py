@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.errors import BadData, OutOfRange, checked_count
 from gpusim.domain.short_repr import short_repr
 
 MOST_CELLS = 256  # of a side
@@ -115,9 +115,15 @@ def pupil_cells(shape: tuple[int, int]) -> list[list[Mask]]:
     Raises:
         OutOfRange: There are fewer than one or more than 256 cells along an axis.
     """
-    if min(shape) < 1 or max(shape) > MOST_CELLS:
+    try:
+        rows, cols = (checked_count("pupil cells", count) for count in shape)
+    except TypeError:
+        raise BadData(f"pupil cells: {type(shape).__name__}, wanted (rows, cols)") from None
+    except ValueError:
+        raise BadData("pupil cells: wanted two numbers, (rows, cols)") from None
+    if max(rows, cols) > MOST_CELLS:
         raise OutOfRange("pupil cells", tuple(shape), f"1 .. {MOST_CELLS} along each axis")
-    every = np.eye(shape[0] * shape[1]).reshape(*shape, *shape)
+    every = np.eye(rows * cols).reshape(rows, cols, rows, cols)
     return [[Mask(one) for one in row] for row in every]
 
 

@@ -25,7 +25,7 @@ from gpusim.judge.truth import require_truth, true_mean
 from gpusim.judge.truth_light import MODES, centre_pads
 from gpusim.optics.depth import DepthPlan
 from gpusim.optics.geometry import DistortionGrid
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 from gpusim.planner.choices import Blur, Falloff, Sampling

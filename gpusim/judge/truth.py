@@ -36,7 +36,7 @@ from gpusim.judge.truth_depth import depth_rates
 from gpusim.judge.truth_field import BLOCKS, SIDE, blocks, flat_fields, varying_rates
 from gpusim.judge.truth_lens import require_truth as require_truth
 from gpusim.judge.truth_light import falloff_gain, placed_light, plain_rates, with_rim
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.pipeline.report import Error
 from gpusim.pipeline.simulator import Simulator
 

@@ -21,7 +21,7 @@ from gpusim.data.weights import electrons_per_content
 from gpusim.domain.optics import Optics
 from gpusim.judge.truth_lens import transfer_of
 from gpusim.judge.truth_light import MODES, centre_pads, pixel_places
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.outside import at_samples, rule_of, unseen_light
 
 REACH, BLADES_REACH = 256, 1024  # [sample] around the frame

@@ -15,7 +15,7 @@ import scipy
 from gpusim.data.weights import electrons_per_content
 from gpusim.judge.truth_lens import field_of, first_places
 from gpusim.judge.truth_light import axis_of
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.optics.outside import border_indices
 
 WHOLE = 2**17  # pixels of a frame up to which all are looked at

@@ -18,7 +18,8 @@ from gpusim.judge.truth_light import axis_of, pixel_places
 from gpusim.judge.truth_mask import transfer_of_mask
 from gpusim.judge.truth_pupil import PupilKernels
 from gpusim.optics import tables
-from gpusim.optics.lens import MeasuredLens, PupilLens, open_lens
+from gpusim.optics.lens import MeasuredLens, PupilLens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.psf import spread_at
 
 DEGREE = 5  # of the splines

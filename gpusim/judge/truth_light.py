@@ -16,7 +16,7 @@ from gpusim.domain.calibration import Framed
 from gpusim.domain.distortion import fit_to_frame, ideal
 from gpusim.domain.scene import IMAGE
 from gpusim.optics.geometry import microlens_gain, relative_illumination, rim_of, vignetting_gain
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.optics.outside import border_indices
 
 # Gridding from a transform twice as long, by a kernel of TAPS samples: errs by 1e-9.

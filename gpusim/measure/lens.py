@@ -12,7 +12,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.distortion import fit_to_frame
 from gpusim.domain.errors import BadData
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 
 STEP = 20.0  # [nm] between the wavelengths of a channel
 ACROSS = 161  # samples along a side of a point spread

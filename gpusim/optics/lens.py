@@ -1,7 +1,7 @@
 """Lenses: how each kind spreads a point's light, anywhere in the field, in front of a grid of samples.
 
-`open_lens` makes the object for the settings of a camera's optics. Everything else calls its methods (`Lens`) and does
-not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MaskedLens` (`gpusim.optics.masked_lens`)
+`gpusim.optics.lenses.open_lens` makes the object for the settings of a camera's optics. Everything else calls its
+methods (`Lens`) and does not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MaskedLens` (`gpusim.optics.masked_lens`)
 at one with a mask, `MeasuredLens` has point spreads that were measured or traced by a ray tracer, and `PointLens` does
 not blur. `SplitLens` is what dual pixels see of a pupil.
 
@@ -18,8 +18,6 @@ import numpy as np
 import scipy
 import scipy.special
 
-from gpusim.domain.camera import Camera
-from gpusim.domain.dual import DiodeOptics
 from gpusim.domain.interpolation import spline_weights
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
@@ -41,7 +39,6 @@ from gpusim.optics.sampled import (
     window,
 )
 from gpusim.optics.series import points_at
-from gpusim.optics.split_lens import SplitLens
 
 # [nm] and its q, wavelength x f-number over the distance of samples, below which rays are counted: other tables are
 # sums over thousands of replicas
@@ -846,70 +843,6 @@ class PointLens(_OnGrid):
     def point_energies(self, wavelengths, spot, at) -> tuple[np.ndarray, np.ndarray]:
         """See `Lens`."""
         return self.kernels(wavelengths, spot[:2], len(at)), np.zeros(2)
-
-
-def open_lens(
-    optics: Optics,
-    pitch: float,
-    aperture=1.0,
-    shape=(1, 1),
-    displacement: tuple[float, float] = (0.0, 0.0),
-    axis: tuple[float, float] = (0.0, 0.0),
-) -> Lens:
-    """Return the lens that `optics` describes, in front of a grid of samples.
-
-    Args:
-        optics: Settings of the lens.
-        pitch: Distance of the samples [m].
-        aperture: Height and width over which each sample is integrated [sample], or one number for a square.
-        shape: Rows and columns of the frame; its corner is field height 1.
-        displacement: Displacement of the apertures from the samples, (rows, cols) [sample].
-        axis: Where the optical axis meets the frame, from its middle, (rows, cols) [sample].
-    """
-    height, width = np.broadcast_to(aperture, 2).tolist()
-    corner = float(np.hypot(*shape)) / 2
-    if optics.model == "none":
-        return PointLens(optics, pitch, (height, width), axis)
-    if optics.psf is not None:
-        field = tuple(n / 2 / corner for n in shape)
-        return MeasuredLens(optics, optics.psf, pitch, (height, width), field, displacement, axis)
-    if isinstance(optics, DiodeOptics) and optics.diode is not None:
-        height, width = (side / pitch for side in optics.diode.window)
-    settings = optics, pitch, (height, width), corner, displacement, axis
-    whole = PupilLens(*settings)
-    if optics.pupil.mask is not None:
-        from gpusim.optics.masked_lens import MaskedLens
-
-        whole = MaskedLens(*settings)
-    return SplitLens(whole, optics) if isinstance(optics, DiodeOptics) else whole
-
-
-def moved_apertures(
-    optics: Optics, displacement: tuple[float, float], ratio: float
-) -> tuple[float, float]:
-    """Return how far the blur displaces apertures from the samples, (rows, cols) [sample].
-
-    If pixels are several samples, weights of samples displace them. Windows of whole pixels are displaced to the
-    nearest sample, so that nothing is interpolated if the ratio is whole.
-
-    Args:
-        optics: Settings of the lens.
-        displacement: Of the apertures from a centred grid of pixels, (rows, cols) [pixel].
-        ratio: Samples per pixel.
-    """
-    if ratio == 1:
-        return displacement
-    if not isinstance(optics, DiodeOptics) or not float(ratio).is_integer():
-        return 0.0, 0.0
-    down, across = (((ratio - 1) / 2 + ratio * one) % 1.0 for one in displacement)
-    return down, across
-
-
-def lens_of(camera: Camera) -> Lens:
-    """Return a camera's lens in front of its pixels."""
-    sensor, pitch = camera.sensor, camera.sensor.pixel_pitch
-    aperture = np.divide(sensor.aperture, pitch)
-    return open_lens(camera.optics, pitch, aperture, displacement=sensor.displacement)
 
 
 def kernels_at(lens: Lens, wavelengths, points, size: int) -> np.ndarray:

@@ -23,7 +23,7 @@ from gpusim.domain.distortion import Model, fit_to_frame, ideal
 from gpusim.domain.errors import BadData, OutOfRange, checked_count
 from gpusim.domain.memory import require_memory
 from gpusim.domain.scene import IMAGE, PANORAMA, Scene
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 
 FARTHEST = np.radians(95.0)  # from the axis: the image ends there
 STEEPEST = np.radians(85.0)  # to which the cos^4 law goes: it is 0 at 90 degrees

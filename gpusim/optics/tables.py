@@ -16,7 +16,8 @@ import scipy
 
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import symmetric
-from gpusim.optics.lens import Lens, open_lens, wavelength_nodes
+from gpusim.optics.lens import Lens, wavelength_nodes
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.otf import EXACT, defocus_only, hopkins, transfer
 from gpusim.optics.rays import AFFORDABLE, polar_table, radial_table
 from gpusim.optics.series import expansion

@@ -16,7 +16,7 @@ from gpusim.domain.dual import SIDES, Diode, DiodeOptics, DualPixels, count_diod
 from gpusim.domain.errors import Conflict, OutOfRange
 from gpusim.domain.sensor import Sensor
 from gpusim.kernels.sensor.divide import divide
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.split_lens import SplitLens
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.readout import Readout

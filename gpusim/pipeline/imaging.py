@@ -24,7 +24,7 @@ from gpusim.optics.highlights import (
 )
 from gpusim.optics.kernel_space import KernelSpace
 from gpusim.optics.lengths import Tiling
-from gpusim.optics.lens import lens_of, moved_apertures
+from gpusim.optics.lenses import lens_of, moved_apertures
 from gpusim.pipeline.cache import Cache
 from gpusim.pipeline.layers import composite_layers, prepare_layers
 from gpusim.pipeline.light import (

@@ -28,7 +28,7 @@ from gpusim.optics.highlights import (
     point_kernels,
 )
 from gpusim.optics.kernel_space import KernelSpace
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.placed import Placed
 from gpusim.pipeline.reading import WHOLE, planes, store
 from gpusim.pipeline.tables import tables_at_distance

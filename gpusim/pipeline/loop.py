@@ -22,7 +22,7 @@ from gpusim.domain.scene import Scene, checked_scene
 from gpusim.domain.short_repr import shorten_repr
 from gpusim.optics.fusion import Watch
 from gpusim.optics.highlights import Highlights
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.pipeline.cache import Cache, same
 from gpusim.pipeline.developer import rendering_name
 from gpusim.pipeline.diodes import divided

@@ -19,7 +19,8 @@ from gpusim.kernels.optics.pupil import pupil
 from gpusim.kernels.processor.sharpen import system_kernel
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.depth import DepthPlan
-from gpusim.optics.lens import moved_apertures, open_lens, wavelength_nodes
+from gpusim.optics.lens import wavelength_nodes
+from gpusim.optics.lenses import moved_apertures, open_lens
 from gpusim.optics.psf import fastest_turn
 from gpusim.optics.rays import AFFORDABLE
 from gpusim.optics.tables import add_spectra, exact_tables, transfer_tables

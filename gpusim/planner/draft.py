@@ -14,7 +14,7 @@ from gpusim.optics.field import FieldBlur
 from gpusim.optics.fusion import Watch
 from gpusim.optics.highlights import Highlights
 from gpusim.optics.lengths import Tiling, fft_length
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.planner.choices import Blur, Falloff, Fusion, Planes, Sketch
 from gpusim.planner.knobs.farfield import FarField
 from gpusim.planner.plan import Plan

@@ -17,7 +17,8 @@ from gpusim.domain.optics import Optics
 from gpusim.domain.scene import IMAGE, Scene
 from gpusim.domain.sensor import Sensor
 from gpusim.optics.geometry import rim_of
-from gpusim.optics.lens import Lens, moved_apertures, open_lens
+from gpusim.optics.lens import Lens
+from gpusim.optics.lenses import moved_apertures, open_lens
 from gpusim.optics.panorama import lens_key
 from gpusim.optics.tables import Caching, Tables
 from gpusim.planner.facts import Facts

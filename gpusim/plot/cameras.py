@@ -6,7 +6,7 @@ import numpy as np
 
 from gpusim.domain.camera import Camera, checked_camera
 from gpusim.domain.spectrum import Spectrum
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.plot.canvas import QUIET, axes_of, channel_colors, finish, panels
 from gpusim.plot.lens import mtf, psf
 from gpusim.plot.sensor import snr

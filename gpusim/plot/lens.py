@@ -18,7 +18,7 @@ from gpusim.measure.lens import (
     sensed_light,
     spread_reach,
 )
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.plot.canvas import (
     QUIET,
     axes_of,

@@ -18,7 +18,7 @@ from gpusim.domain.pupil import Wavefront
 from gpusim.domain.scene import Scene, unit_light
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.depth import distance_of
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.pipeline.simulator import Simulator
 
 PITCH, NM, WIDE = 4e-6, np.array([550.0]), 41

@@ -19,7 +19,8 @@ from gpusim.domain.spectrum import Spectrum
 from gpusim.kernels.optics.pupil import pupil
 from gpusim.optics.field import Differences, FieldBlur, _Window, image_error, interpolate
 from gpusim.optics.highlights import Highlights
-from gpusim.optics.lens import MeasuredLens, PupilLens, Symmetry, open_lens
+from gpusim.optics.lens import MeasuredLens, PupilLens, Symmetry
+from gpusim.optics.lenses import open_lens
 
 MACHINE = gs.open_camera("machine-vision")
 PITCH = MACHINE.sensor.pixel_pitch

@@ -20,7 +20,7 @@ from gpusim.domain.pupil import Wavefront
 from gpusim.domain.scene import Scene, View
 from gpusim.io.camera.cameras import open_camera
 from gpusim.optics.geometry import flat_of_lens
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.pipeline.simulator import Simulator
 
 FRAME = (90, 120)

@@ -10,7 +10,7 @@ from gpusim.captures.views import ViewCapture, divide_pupil, expose_views
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.optics.cells import transfer_of_parts
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.optics.otf import transfer
 
 LENSES = {

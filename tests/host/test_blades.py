@@ -9,7 +9,7 @@ from scipy.signal import fftconvolve
 
 import gpusim as gs
 from gpusim.domain.pupil import Pupil
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.outside import at_samples, unseen_light
 
 SIDE, REACH, FARTHEST, Q = 64, 24, 224, 2.0

@@ -12,7 +12,7 @@ from gpusim.domain.mask import Mask
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
 from gpusim.domain.pupil import Pupil
-from gpusim.optics.lens import lens_of, open_lens
+from gpusim.optics.lenses import lens_of, open_lens
 
 ROOT = Path(__file__).parents[2]
 ASKING = {
@@ -20,6 +20,7 @@ ASKING = {
     "gpusim/domain/optics.py",  # checks the settings
     "gpusim/domain/pupil.py",  # the geometry of pupils
     "gpusim/optics/lens.py",  # the classes
+    "gpusim/optics/lenses.py",
     "gpusim/optics/masked_lens.py",
     "gpusim/optics/split_lens.py",
     "gpusim/judge/truth_lens.py",

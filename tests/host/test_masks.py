@@ -12,7 +12,7 @@ from gpusim.domain.mask_patterns import PRIMES, mask_pattern
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil, Wavefront, light_moments
 from gpusim.optics.geometric import ray_kernel
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.mask_edges import edge_strength
 from gpusim.optics.occlusion import light_at, pupil_points
 from gpusim.optics.tables import exact_tables

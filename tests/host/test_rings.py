@@ -7,7 +7,7 @@ import pytest
 
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.tables import call_always
 from gpusim.planner.facts import Facts
 from gpusim.planner.knobs.farfield import Point, waves

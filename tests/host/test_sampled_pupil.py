@@ -9,7 +9,8 @@ from scipy.special import j1
 
 import gpusim as gs
 from gpusim.domain.pupil import Pupil, disc_power, noll
-from gpusim.optics.lens import kernels_at, open_lens
+from gpusim.optics.lens import kernels_at
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.otf import hopkins, transfer
 from gpusim.optics.rays import is_too_costly
 from gpusim.optics.sampled import (

@@ -10,7 +10,7 @@ import gpusim as gs
 from gpusim.domain.dual import SIDES, SPLITS, Diode, DiodeOptics
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.split_lens import divided_energies
 
 PITCH, SHAPE = 1.4e-6, (64, 96)

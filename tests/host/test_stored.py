@@ -95,7 +95,7 @@ def test_the_oldest_files_go(folder, monkeypatch):
 LENS = """
 import numpy as np
 import gpusim as gs
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 camera = gs.open_camera("phone").with_(zernike_waves=(0, 0, 0, 0.3, 0.1, 0.1, 0.1))
 lens = open_lens(camera.optics, 1e-6)
 kernels = lens.kernels(np.linspace(400, 700, 7), (0.3, 0.2), 101)

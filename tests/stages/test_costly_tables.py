@@ -7,7 +7,7 @@ from devices import ALL_KINDS
 from gpusim.backends import open_device
 from gpusim.domain.optics import Optics
 from gpusim.domain.pupil import Pupil, Wavefront
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.rays import is_too_costly
 from gpusim.pipeline.tables import _OnDevice, make_tables
 

@@ -15,7 +15,7 @@ from gpusim.domain.pupil import Pupil, Wavefront, disc_power, noll
 from gpusim.kernels.optics.airy import airy
 from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.optics.pupil import pupil
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.otf import transfer
 from gpusim.pipeline.tables import _OnDevice
 

@@ -10,7 +10,7 @@ from gpusim.domain.errors import BadData, GpusimError
 from gpusim.domain.spectrum import energy_from_photons
 from gpusim.measure.lens import field_place, lens_mtf, pixel_mtf, point_spread
 from gpusim.measure.sfr import EdgeResponse, mtf50, sfr
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of linear RGB, as Rec. 709 and sRGB have it
 FREQUENCIES = np.linspace(0, 1, 101)  # [cycle/pixel]

@@ -23,7 +23,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, Conflict, GpusimError
 from gpusim.domain.processor import WHITE_BALANCES
 from gpusim.io.files import read_text
-from gpusim.optics.lens import lens_of
+from gpusim.optics.lenses import lens_of
 from gpusim.pipeline.simulator import Simulator
 
 SLOWEST = 1e4  # [s]

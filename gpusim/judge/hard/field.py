@@ -20,7 +20,7 @@ from gpusim.judge.hard.scenes import mean_of
 from gpusim.kernels.optics.field import field
 from gpusim.optics.field import eigen_kernels, overlap_add
 from gpusim.optics.geometry import distortion_grid
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.pipeline.simulator import Simulator
 
 SIZE = 33

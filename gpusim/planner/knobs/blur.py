@@ -22,7 +22,7 @@ from gpusim.optics.field import image_error, natural_difference
 from gpusim.optics.fusion import SAMPLED_PERIOD
 from gpusim.optics.geometry import DistortionGrid, places_of, view_nodes
 from gpusim.optics.kernel_space import KernelSpace
-from gpusim.optics.lens import open_lens
+from gpusim.optics.lenses import open_lens
 from gpusim.optics.occlusion import SHARP, Bending, Displaced, find_occlusion, hidden_light
 from gpusim.planner.knobs.border import Surroundings
 from gpusim.planner.knobs.highlights import Picture
