@@ -244,6 +244,7 @@ def _scale(camera, place, wavelength, shape=(1, 1)) -> _Scale:
     dual = checked_camera(camera).sensor.dual
     if not is_sparse(camera):
         dual = divided(camera)
+    assert dual is not None
     axis = 0 if dual.split == "up-down" else 1
     sides = ("top", "bottom") if axis == 0 else ("left", "right")
     halves = replace(

@@ -114,6 +114,10 @@ class LensletCapture:
         )
         self._tape, self._of, self._made = Tape(), None, None
 
+    def __repr__(self):
+        rows, cols = self.samples.pixels
+        return shorten_repr(f"LensletCapture({self.simulator.camera.name}, {cols}x{rows} pixels)")
+
     def __call__(
         self,
         scene: Scene | LightField | None = None,

@@ -163,6 +163,12 @@ class ViewCapture:
         self._taken_of: Scene | LightField | None = None
         self._rates: Any = None
 
+    def __repr__(self):
+        rows, cols = self.shape
+        return shorten_repr(
+            f"ViewCapture({self.scene.name} by {self.simulator.camera.name}, {rows} x {cols} cells)"
+        )
+
     def _scene_of(self, at: tuple[int, int]) -> Scene:
         """Return the scene that a cell sees."""
         if not isinstance(self.scene, LightField):

@@ -1,9 +1,9 @@
 """Lenses: how each kind spreads a point's light, anywhere in the field, in front of a grid of samples.
 
 `gpusim.optics.lenses.open_lens` makes the object for the settings of a camera's optics. Everything else calls its
-methods (`Lens`) and does not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MaskedLens` (`gpusim.optics.masked_lens`)
-at one with a mask, `MeasuredLens` has point spreads that were measured or traced by a ray tracer, and `PointLens` does
-not blur. `SplitLens` is what dual pixels see of a pupil.
+methods (`Lens`) and does not ask which kind it is. `PupilLens` diffracts at a pupil with a wavefront, `MaskedLens`
+(`gpusim.optics.masked_lens`) at one with a mask, `MeasuredLens` has point spreads that were measured or traced by a
+ray tracer, and `PointLens` does not blur. `SplitLens` is what dual pixels see of a pupil.
 
 A field point is (y, x), 1 the distance of the frame's corner from the axis, in the direction of rows and columns.
 """

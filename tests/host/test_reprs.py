@@ -15,6 +15,7 @@ LONGEST = 200  # letters of a repr
 NODES = np.linspace(400, 700, 31)
 PHONE = gs.open_camera("phone")
 SIMULATE = gs.Simulator(PHONE, device="numpy", tolerance="preview")
+LENSLETS = PHONE.with_(f_number=4.0, lenslets={"pitch_um": 4.2, "focal_length_um": 16.8})
 CHECKER = gs.chart("colorchecker", size=(48, 32))
 CUBE = gs.scene_from(np.random.default_rng(1).random((31, 6, 8)), NODES, light="D65")
 ALPHA = np.full((6, 8), 0.5, np.float32)
@@ -85,6 +86,13 @@ def objects():
         RadialTable(np.linspace(0, 1, 50), np.linspace(0, 1.1, 50)),
         gs.open_camera("mono"),
         gs.Lenslets(14e-6, 40e-6),
+        gs.DualPixels(),
+        views := gs.ViewCapture(SIMULATE, gs.chart("flat", size=(12, 8)), (1, 2)),
+        views(),
+        behind := gs.LensletCapture(
+            gs.Simulator(LENSLETS, device="numpy"), gs.chart("flat", size=(12, 8)), (1, 2)
+        ),
+        behind(None, 0.01),
         gs.LensletGrid(10.0, 0.0, (20.0, 20.0)),
         gs.LensletSamples((50, 60), 14e-6, (0.0, 0.0), (500, 600)),
         sfr(edge),
