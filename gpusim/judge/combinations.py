@@ -22,7 +22,6 @@ from gpusim.domain.content import Basis
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import GpusimError, one_line
 from gpusim.domain.illuminated import Illuminated
-from gpusim.domain.mask import Mask
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread
@@ -265,7 +264,6 @@ FEATURES = (
                 "Zernike",
                 "blades",
                 "obscuration",
-                "mask",
                 "Seidel",
                 "lateral colour",
                 "low-pass",
@@ -276,7 +274,6 @@ FEATURES = (
     Feature("Zernike", lambda case: _aberrate(case, zernike=(0, 0, 0, 0, 0.1, 0, 0.12, 0.05))),
     Feature("blades", lambda case: _shape_pupil(case, blades=6)),
     Feature("obscuration", lambda case: _shape_pupil(case, obscuration=0.4)),
-    Feature("mask", lambda case: _shape_pupil(case, mask=Mask([[1, 0.6], [0.8, 0]]))),
     Feature("Seidel", lambda case: _aberrate(case, seidel=(0.0, 0.6, 0.4, 0.3, 0.0))),
     Feature("distortion", _geometry("distortion")),
     Feature("lateral colour", _color_laterally),
