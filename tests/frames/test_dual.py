@@ -178,7 +178,7 @@ def test_phase_detection_pixels_see_half_and_are_replaced():
     expected = whole.copy()
     for (row, col), half in (((1, 2), 0), ((5, 6), 1)):
         expected[row::8, col::8] = halves[half][row::8, col::8]
-    np.testing.assert_allclose(frame.mean, expected, rtol=1e-6)
+    np.testing.assert_allclose(frame.mean, expected, rtol=1e-5)  # sums in float32
     quiet, flat = (
         {"photon": "none", "read_e": 0, "prnu": 0, "dsnu_e": 0},
         gs.chart("flat", size=(48, 32)),
