@@ -234,7 +234,10 @@ def texture(random, kind, shape):
 
 @pytest.mark.parametrize("count", [2, pytest.param(60, marks=pytest.mark.slow)])
 def test_phase_autofocus_lands_within_the_depth_of_focus(count):
-    """In one step, for 95 % of scenes: three textures, 20 to 200 electrons, 1 to 10 depths of focus on both sides."""
+    """In one step, for 95 % of scenes: three textures, 20 to 200 electrons, 1 to 10 depths of focus on both sides.
+
+    Of 60 scenes that is 95 % within two standard errors of 2.8 %.
+    """
     base = gs.open_camera("mono").with_(
         pixel_pitch_um=2.0,
         f_number=2.0,
@@ -267,4 +270,4 @@ def test_phase_autofocus_lands_within_the_depth_of_focus(count):
         whole = slice(0, 240), slice(0, 360)
         found = gs.phase_focus(gs.Simulator(camera, device=FAST), scene, region=whole, seed=number)
         landed.append(abs(found.defocus - defocus) <= depth)
-    assert np.mean(landed) >= 0.95
+    assert np.mean(landed) >= 0.95 - 2 * 0.028
