@@ -144,11 +144,10 @@ class ViewCapture:
         self.shares, cells = divide_pupil(camera, self.shape)
         if isinstance(scene, LightField):
             check_radius(camera, scene)
-        self._tables = Cache()
         self._cells = {
             at: simulator.apart(
-                camera.with_(optics=replace(camera.optics, pupil=pupil)), self._tables
-            )
+                camera.with_(optics=replace(camera.optics, pupil=pupil)), Cache()
+            )  # a cache keeps one table of a name
             for at, pupil in cells.items()
         }
         some = simulator.plan(self._scene_of(next(iter(cells))))
