@@ -19,9 +19,9 @@ def apply_lenslets(device: Device, rates: Any, camera: Camera, samples: LensletS
 
     Args:
         device: The device that computes.
-        rates: Electrons per second through each cell of the pupil in each sample [e- s-1], a NumPy array or an array of
-            the device, shape (cells_y, cells_x, channels, rows, cols). Cell (j, i) covers the pupil from -1 + 2 j /
-            cells_y on along y, and likewise along x.
+        rates: Electrons per second through each cell of the pupil in each sample [e- s-1], a NumPy array (cells_y,
+            cells_x, channels, rows, cols), or an array of the device, which has four axes at most, (cells_y, cells_x *
+            channels, rows, cols). Cell (j, i) covers the pupil from -1 + 2 j / cells_y on along y, and likewise along x.
         camera: A camera whose sensor has lenslets.
         samples: The samples: `lenslet_samples`.
 
@@ -35,7 +35,11 @@ def apply_lenslets(device: Device, rates: Any, camera: Camera, samples: LensletS
     sensor = camera.sensor
     if sensor.lenslets is None:
         raise BadData("sensor.lenslets: the camera has none; set [sensor] lenslets")
-    if tuple(rates.shape[2:]) != (len(sensor.channels), *samples.shape):
+    count, shape = len(sensor.channels), tuple(rates.shape)
+    if len(shape) == 5 and shape[2] == count:
+        shape = (shape[0], shape[1] * count, *shape[3:])
+        rates = np.reshape(rates, shape)
+    if len(shape) != 4 or shape[1] % count or shape[2:] != tuple(samples.shape):
         raise BadData(
             f"rates: shape {tuple(rates.shape)}; wanted (cells_y, cells_x, {len(sensor.channels)} channels, "
             f"{samples.shape[0]}, {samples.shape[1]})"

@@ -35,11 +35,11 @@ SAME_RADIUS = 0.01  # part by which a light field's radius may differ from the e
 class Views:
     """Light of a scene through each cell of a lens's pupil, at the sensor.
 
-    `np.asarray` returns the rates.
+    `np.asarray` returns the rates with an axis of channels, (T, S, C, rows, cols).
 
     Attributes:
         rates: Electrons per second of every pixel in each channel, as if it had all filters, a device array
-            (T, S, C, rows, cols) [e-/s]. Each cell diffracts.
+            (T, S C, rows, cols), the channels of a cell one after the other [e-/s]. Each cell diffracts.
         shares: Light of each cell over the light of the whole lens (T, S) [1].
         plans: Plans of the cells by (row, column).
         simulator: The simulator of the whole lens.
@@ -53,7 +53,8 @@ class Views:
     scene: Scene | LightField
 
     def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
-        return np.array(self.simulator.device.numpy(self.rates), dtype, copy=copy)
+        found = np.array(self.simulator.device.numpy(self.rates), dtype, copy=copy)
+        return found.reshape(*self.shares.shape, -1, *found.shape[2:])
 
     def __repr__(self):
         return shorten_repr(
@@ -195,7 +196,10 @@ class ViewCapture:
             with recording(self._tape):
                 self._rates = device.stack(list(self._rates_of_cells()))
             self._taken_of = self.scene
-        rates = device.reshape(self._rates, (*self.shape, *self._rates.shape[1:]))
+        cells, channels, rows, cols = self._rates.shape
+        rates = device.reshape(
+            self._rates, (self.shape[0], cells // self.shape[0] * channels, rows, cols)
+        )
         return Views(rates, self.shares, self.plans, self.simulator, self.scene)
 
     def _change(self, scene):

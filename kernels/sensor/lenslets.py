@@ -1,6 +1,6 @@
 """Lenslets: light of the pupil's cells in the lenslets' plane becomes the pixels' light behind them.
 
-Ports: rates (cells_y, cells_x, channels, rows, cols) float32 [e- s-1 per sample], cfa (period_y,
+Ports: rates (cells_y, cells_x channels, rows, cols) float32 [e- s-1 per sample], cfa (period_y,
 period_x) int32 -> pixels (1, pixel_rows, pixel_cols) float32 [e- s-1].
 
 Rays obey the equation of `gpusim.optics.lenslets`: through the place x of lenslet c and the place s of the
@@ -48,7 +48,8 @@ def lenslets(
 
     Args:
         rates: Electrons per second through each cell of the pupil in each sample of the lenslets' plane [e- s-1], as if
-            a pixel there saw every channel, shape (cells_y, cells_x, channels, rows, cols).
+            a pixel there saw every channel, shape (cells_y, cells_x * channels, rows, cols), the channels of a cell one
+            after the other.
         cfa: Channel of each pixel in one period of the mosaic, shape (period_y, period_x).
         plane: Numbers of lenslets, lens, pixels and samples: `gpusim.optics.lenslets.lenslet_plane`.
         shape: Rows and columns of pixels.
@@ -58,15 +59,15 @@ def lenslets(
         Electrons per second [e- s-1], shape (1, rows, cols) of pixels, float32.
 
     Raises:
-        BadData: The rates do not have five axes, or another number of channels than the numbers.
+        BadData: The rates do not have four axes, or another number of channels than the numbers.
 
     Source:
         Ng et al. 2005, Light field photography with a hand-held plenoptic camera (unfocused); Lumsdaine and Georgiev
         2009, The focused plenoptic camera; Goodman, Introduction to Fourier Optics, 6.2 (diffraction of an aperture).
     """
-    if len(rates.shape) != 5 or rates.shape[2] != len(plane.spots):
+    if len(rates.shape) != 4 or rates.shape[1] % len(plane.spots):
         raise BadData(
-            f"rates: shape {tuple(rates.shape)}; wanted (cells_y, cells_x, {len(plane.spots)} channels, rows, cols)"
+            f"rates: shape {tuple(rates.shape)}; wanted (cells_y, cells_x * {len(plane.spots)} channels, rows, cols)"
         )
     mosaic = np.asarray(device.numpy(cfa), np.int32)
     make = _pass_rows_and_columns if plane.is_separable else _gather_cells
@@ -74,7 +75,8 @@ def lenslets(
 
 
 def _pass_rows_and_columns(device, rates, cfa, plane, shape):
-    cells_y, cells_x, channels, rows, cols = rates.shape
+    (cells_y, planes, rows, cols), channels = rates.shape, len(plane.spots)
+    cells_x = planes // channels
     key = cfa.shape, cfa.tobytes(), plane
     down = _axis_arrays(device, 0, shape[0], rows, cells_y, *key)
     across = _axis_arrays(device, 1, shape[1], cols, cells_x, *key)
@@ -88,7 +90,7 @@ def _pass_rows_and_columns(device, rates, cfa, plane, shape):
     launch(
         "across",
         (pairs * cells_y * -(-rows // BLOCK), positions // width),
-        device.reshape(rates, (cells_y, cells_x * channels, rows, cols)),
+        rates,
         device.reshape(totals, (cells_y, channels, rows, cols)),
         *(across.weights, across.far_weights, across.first, across.far_first, across.pairs, lines),
         *(pairs, cells_y, channels, rows, cols, positions, across.window, across.far_window),
@@ -158,7 +160,8 @@ _axis_arrays = functools.lru_cache(maxsize=16)(_AxisArrays)
 
 
 def _gather_cells(device, rates, cfa, plane, shape):
-    cells_y, cells_x, channels, rows, cols = rates.shape
+    (cells_y, planes, rows, cols), channels = rates.shape, len(plane.spots)
+    cells_x = planes // channels
     tables = _spot_arrays(device, plane, tuple(shape), (rows, cols), (cells_y, cells_x))
     launch = functools.partial(device.launch, "sensor.lenslets", defines={"STEPS": STEPS})
     planes, samples = cells_y * cells_x, rows * cols
@@ -326,7 +329,8 @@ def cases():
         count = numbers.get("samples", 1)
         shape = tuple(count * int(np.ceil(n / 7) + 3) for n in size)
         plane = make_plane(7.0, 3.4, shape=shape, **numbers)
-        rates = random.uniform(0.2, 1, (*cells, len(plane.spots), *shape)).astype(np.float32)
+        planes = cells[0], cells[1] * len(plane.spots)
+        rates = random.uniform(0.2, 1, (*planes, *shape)).astype(np.float32)
         inputs = {"rates": rates, "cfa": cfa, "plane": plane, "shape": size}
         if plane.is_separable:
             yield Case(name, inputs, 1e-3, separable)
@@ -338,5 +342,5 @@ def bench(rows, cols):
     """Return inputs: unfocused, 9 x 9 cells, a Bayer mosaic, 9 x 9 pixels behind each lenslet."""
     shape = tuple(max(1, size // 9) for size in (rows, cols))
     plane = make_plane(9.0, 4.5, spots=(0.55, 0.5, 0.42), shape=shape)
-    rates = np.random.default_rng(58).random((9, 9, 3, *shape), np.float32)
+    rates = np.random.default_rng(58).random((9, 27, *shape), np.float32)
     return {"rates": rates, "cfa": RGGB, "plane": plane, "shape": (rows, cols)}

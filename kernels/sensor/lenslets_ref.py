@@ -12,7 +12,9 @@ import numpy as np
 def lenslets(rates, cfa, plane, shape):
     """Return the stage's result, see `lenslets.py`."""
     rates = np.asarray(rates, np.float64)
-    cells_y, cells_x, channels, rows, cols = rates.shape
+    cells_y, channels, (rows, cols) = len(rates), len(plane.spots), rates.shape[2:]
+    rates = rates.reshape(cells_y, -1, channels, rows, cols)
+    cells_x = rates.shape[1]
     # waves repeat after the period: so far outside there is next to no light
     period = 2 * max(shape) + 64
     parts = list(_parts(plane, shape, rows, cols))
