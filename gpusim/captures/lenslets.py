@@ -21,7 +21,7 @@ def apply_lenslets(device: Device, rates: Any, camera: Camera, samples: LensletS
         device: The device that computes.
         rates: Electrons per second through each cell of the pupil in each sample [e- s-1], a NumPy array (cells_y,
             cells_x, channels, rows, cols), or an array of the device, which has four axes at most, (cells_y, cells_x *
-            channels, rows, cols). Cell (j, i) covers the pupil from -1 + 2 j / cells_y on along y, and likewise along x.
+            channels, rows, cols). Cell (j, i) covers the pupil from -1 + 2 j / cells_y on along y, so too along x.
         camera: A camera whose sensor has lenslets.
         samples: The samples: `lenslet_samples`.
 
