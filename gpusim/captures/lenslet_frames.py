@@ -23,7 +23,6 @@ from gpusim.pipeline.metering import choose_exposure, meter_light, metering_numb
 from gpusim.pipeline.simulator import Simulator
 
 MOST_CELLS = 16  # along each axis of the pupil, by default
-EVERY = np.zeros((1, 1), np.int32)  # mosaic of a plane that is one already
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +147,9 @@ class LensletCapture:
             light = meter_light(pixels, automatic=sensor.auto_exposure, device=device)
             numbers = metering_numbers(sensor, readout)
             seconds, gain = choose_exposure(device.numpy(light), prod(pixels.shape), **numbers)
-        shape = tuple(pixels.shape)
-        plane = device.reshape(pixels, (1, prod(shape[:-1]), shape[-1]))
-        mean = device.reshape(
-            collect(plane, EVERY, seconds, 0.0, device=device),
-            shape[-2:] if shape[0] == 1 else shape,
-        )
+        mean = collect(pixels, None, seconds, 0.0, device=device)
+        if mean.shape[0] == 1:
+            mean = device.reshape(mean, tuple(mean.shape[1:]))
         camera = operated_camera(simulator.camera, readout, gain)
         return LensletExposure(
             replace(views, simulator=simulator),

@@ -33,7 +33,6 @@ from gpusim.pipeline.light import (
     add_field,
     add_highlights,
     as_one_plane,
-    collect_layers,
     crop_margin,
     dim_planes,
     even_samples,
@@ -552,15 +551,12 @@ class _Steps:
         plan = self.plan
         layers = self.channels if cfa is None else 1
         is_folded = self.folded
-        constants = {"slope": plan.slope}
-        if cfa is not None:
-            constants["cfa"] = cfa
+        constants = {"slope": plan.slope, "cfa": cfa}
         if exposure_time is not None:
             constants["exposure_time"] = exposure_time
         chain.add(
             "sensor.collect",
             constants,
-            run=collect_layers if cfa is None else None,
             numbers=("exposure_time",) if exposure_time is None else (),
             words=self.words("sensor.collect"),
             # mean electrons, and the mosaic of rates

@@ -15,7 +15,6 @@ from gpusim.kernels.optics.field import field, transfer
 from gpusim.kernels.optics.sample import sample
 from gpusim.kernels.optics.splat import splat
 from gpusim.kernels.sensor.bin import bin as bin_pixels
-from gpusim.kernels.sensor.collect import collect
 from gpusim.kernels.spectral.integrate import integrate
 from gpusim.optics.coarse import split_tables
 from gpusim.optics.expansion import choose_terms
@@ -278,22 +277,6 @@ def add_highlights(rates, kernels, *, lights, spare, weights, cfa, device) -> An
 def dim_planes(planes_, *, gains, device) -> Any:
     """Return planes times a gain of each pixel (rows, cols)."""
     return falloff(planes_, device.array(gains[None]), device=device)
-
-
-def collect_layers(channels, *, slope, exposure_time, device) -> Any:
-    """Return the electrons of each channel (C, rows, cols), with fall-off, for an exposure time [s]."""
-    return device.stack(
-        [
-            collect(
-                channels,
-                np.full((1, 1), channel, np.int32),
-                exposure_time,
-                slope,
-                device=device,
-            )
-            for channel in range(channels.shape[0])
-        ]
-    )
 
 
 def return_none() -> None:

@@ -13,7 +13,9 @@ def relative_illumination(rows, cols, slope):
 def collect(rates, cfa, exposure_time, slope):
     """Return the stage's result, see `collect.py`."""
     rows, cols = rates.shape[1:]
-    y, x = np.indices((rows, cols))
-    channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]
-    own = np.take_along_axis(np.asarray(rates, np.float64), channel[None], axis=0)[0]
+    own = np.asarray(rates, np.float64)
+    if cfa is not None:
+        y, x = np.indices((rows, cols))
+        channel = np.asarray(cfa)[y % len(cfa), x % len(cfa[0])]
+        own = np.take_along_axis(own, channel[None], axis=0)[0]
     return exposure_time * relative_illumination(rows, cols, slope) * np.where(own < 0, 0, own)
