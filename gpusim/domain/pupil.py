@@ -11,7 +11,7 @@ from itertools import pairwise
 from math import comb, factorial
 
 import numpy as np
-from scipy.special import roots_legendre
+import scipy
 
 from gpusim.domain.errors import FINITE, BadData, Limits, OutOfRange, check_fields
 from gpusim.domain.mask import LEAST_LIGHT, Mask
@@ -377,7 +377,7 @@ def _nodes(bends, ends, map_ends, cycles):
 
 @lru_cache(maxsize=256)
 def _gauss(count):
-    return roots_legendre(count)
+    return scipy.special.roots_legendre(count)
 
 
 @lru_cache(maxsize=512)

@@ -66,6 +66,10 @@ CAUSES = {
         "pixels are so coarse that uniform light has ripples; the given relative illumination has none",
         'use relative_illumination = "cos4" or "none"',
     ),
+    "blur by depth within the cells of a light field": Cause(
+        "views of a light field are blurred as if all things were in focus",
+        "simulate the scene with its depth (gpusim.expose_views)",
+    ),
     "depth left out": Cause("the blur is the same at all distances", TIGHTER),
     "distance of measured spreads": Cause(
         "the point spreads were measured at one distance only",

@@ -9,7 +9,7 @@ from math import hypot, prod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
+import scipy
 
 from gpusim.domain.camera import Camera
 from gpusim.domain.dual import SIDES, Diode, DiodeOptics, DualPixels, count_diodes
@@ -142,7 +142,9 @@ def find_shares(camera: Camera, plan: Plan) -> np.ndarray:
     found = np.array([[weights @ lens.totals(bands, place) for place in line] for line in places])
     every = np.array(
         [
-            RectBivariateSpline(y, x, found[..., channel])(np.arange(rows), np.arange(cols))
+            scipy.interpolate.RectBivariateSpline(y, x, found[..., channel])(
+                np.arange(rows), np.arange(cols)
+            )
             for channel in range(len(weights))
         ]
     )
