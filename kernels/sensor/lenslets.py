@@ -315,15 +315,15 @@ def cases():
     grey = np.zeros((1, 1), np.int32)
     turned = {"rotation": 0.1, "samples": 4}
     for name, cfa, cells, size, numbers in (
-        ("unfocused", grey, (3, 3), (60, 53), {}),
-        ("unfocused, Bayer", RGGB, (3, 2), (38, 37), {"spots": three}),
+        ("unfocused", grey, (3, 3), (40, 33), {}),
+        ("unfocused, Bayer", RGGB, (3, 2), (24, 23), {"spots": three}),
         ("stripes, small apertures", stripes, (2, 3), (21, 33), {"spots": three, "fill": 0.8}),
         ("one lenslet", grey, (2, 2), (7, 7), {}),
         ("focused", grey, (2, 2), (22, 21), {"power": 1.4, "samples": 4}),
         ("small pixels", grey, (3, 3), (21, 17), {"aperture": (0.6, 0.9)}),
-        ("hexagons", grey, (3, 3), (24, 21), {"layout": "hexagonal", "samples": 4}),
-        ("turned squares, Bayer", RGGB, (2, 3), (19, 22), turned | {"spots": three}),
-        ("turned hexagons", grey, (3, 2), (21, 22), turned | {"layout": "hexagonal", "fill": 0.9}),
+        ("hexagons", grey, (3, 3), (15, 14), {"layout": "hexagonal", "samples": 4}),
+        ("turned squares, Bayer", RGGB, (2, 3), (12, 15), turned | {"spots": three}),
+        ("turned hexagons", grey, (3, 2), (13, 14), turned | {"layout": "hexagonal", "fill": 0.9}),
         ("turned, focused", grey, (2, 2), (17, 16), turned | {"power": 0.6}),
     ):
         count = numbers.get("samples", 1)

@@ -100,6 +100,7 @@ def test_functions_and_values_are_one():
     assert [frame.exposure_time for frame in frames] == list(times)
 
 
+@pytest.mark.slow
 def test_frames_in_motion_follow_one_another():
     """Each opens when the last row of the one before has closed: exposures of their own times."""
     sensor = camera(row_time=2e-5)

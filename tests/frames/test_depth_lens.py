@@ -81,6 +81,7 @@ def mean_of(scene, camera, device=FAST):
 CUBIC = 3.5e-3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_slope_seen_through_distortion(device):
     shape = (32, 40)
@@ -199,6 +200,7 @@ def test_a_slope_through_a_lens_that_varies(axis):
     assert np.sqrt(np.mean((uniform - wanted)[INNER] ** 2)) > 5e-3
 
 
+@pytest.mark.slow
 def test_flat_fields_at_a_distance_are_the_sum_of_their_points():
     """A lens that displaces points shades flat fields, at a distance as in focus; coverage has no part in that."""
     shape, period = (20, 24), 48

@@ -9,7 +9,7 @@ import gpusim as gs
 from gpusim.cli.main import main
 from gpusim.domain.errors import BadData
 
-CELLS = (5, 5)
+CELLS = (3, 3)
 
 
 @pytest.fixture(scope="module")

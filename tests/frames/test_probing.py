@@ -342,6 +342,7 @@ def test_no_error_of_a_plan_is_taken_from_a_softer_or_darker_scene(device, what)
     assert loop.update(scene=scenes[1]).frame().report.verdict.is_met
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", KINDS)
 def test_calls_share_a_plan_while_it_fits(device, monkeypatch):
     """As a loop does. A scene whose arrays were written to counts as another one."""

@@ -35,7 +35,7 @@ def rates_of(simulator, scene):
 @pytest.mark.parametrize(
     "name, distances",
     [
-        ("circle", (None, 0.2)),
+        ("circle", (0.2,)),
         *(pytest.param(name, (None, 0.2, 1.0, 1e6), marks=pytest.mark.slow) for name in LENSES),
     ],
 )
@@ -50,7 +50,7 @@ def test_cells_have_all_light_of_the_lens(name, distances):
     for distance in distances:
         depth = None if distance is None else np.full((16, 24), distance)
         scene = replace(flat, depth=depth)
-        views = expose_views(simulator, scene, (3, 3))
+        views = expose_views(simulator, scene, (2, 2))
         whole = rates_of(simulator, scene)
         assert abs(views.total.sum() / whole.sum() - 1) <= 1e-6
         assert views.shares.sum() == pytest.approx(1, abs=1e-12)

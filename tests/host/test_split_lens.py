@@ -118,6 +118,7 @@ def test_a_sharp_border_and_wide_pixels_give_half_discs():
     assert centres[0] - centres[1] == pytest.approx(missed * 4 / (3 * np.pi) * circle, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_phases_are_a_half_discs():
     """Published simulators take half discs, sharp or weighted (Garg et al. 2019; Punnappurath et al. 2020; Abuolaim and
     Brown 2020). Their transform is the integral of the share over the pupil, here with the border that diffraction at

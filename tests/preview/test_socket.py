@@ -187,6 +187,7 @@ def messages_of(address):
         yield messages, client
 
 
+@pytest.mark.slow
 def test_malformed_messages_leave_nothing_behind(tmp_path):
     """They end their connection, or are told in a line; SIGTERM then ends the process with all that is open."""
     with serving(
