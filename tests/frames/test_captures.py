@@ -174,6 +174,7 @@ def test_merged_reads_are_unbiased_and_as_precise_as_they_can_be(times):
         assert own.std() < 1.12 * least
 
 
+@pytest.mark.slow
 def test_hdr_video_is_the_merged_bracket_of_each_frame():
     simulator = gs.Simulator(camera(), device="opencl:0")
     capture = gs.Bracket((-2, 0), merged=True)

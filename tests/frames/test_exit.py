@@ -64,6 +64,7 @@ def ended(end, device):
     return done.returncode, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "device", [name for name in KINDS if name != "warp:cpu"]
 )  # which has nothing pending

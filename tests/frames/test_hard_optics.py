@@ -65,6 +65,7 @@ def test_the_kernels_of_points_are_integrals_over_the_pixel():
 COMES_BACK = 1.7e-4  # of all light: what leaves the frame of the next test
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("device", KINDS)
 def test_hard_04_energy_of_a_frame_is_kept(device):
     """A dark-bordered scene far from the edges: all electrons arrive, to 1e-6, whatever the rank."""

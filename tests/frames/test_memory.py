@@ -93,7 +93,7 @@ PAIRS = [
 ]
 
 
-@pytest.mark.parametrize("tolerance", [None, 4e-4])
+@pytest.mark.parametrize("tolerance", [pytest.param(None, marks=pytest.mark.slow), 4e-4])
 @pytest.mark.parametrize(("camera", "form"), PAIRS)
 def test_a_loops_memory_is_predicted(camera, tolerance, form):
     """Three frames of two scenes, on a device whose driver is asked for all of it; a tenth, and 100 kB of constants."""

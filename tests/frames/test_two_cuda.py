@@ -43,6 +43,7 @@ def test_every_path_is_the_same_on_the_second_device(two):
     require_equal(*(made_on(device) for device in two))
 
 
+@pytest.mark.slow
 def test_devices_work_in_threads_at_once(two):
     start = threading.Barrier(2)
 

@@ -71,6 +71,7 @@ def sum_rows(pupil, wave, sx, sy, rows, nodes):
     return total * 2 / rows / area
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "waves", [0.0, pytest.param(0.15, marks=pytest.mark.slow)], ids=["flat", "aberrated"]
 )

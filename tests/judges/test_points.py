@@ -166,6 +166,7 @@ def test_a_point_of_1e9_behind_any_pupil(name):
     compared(mean, electrons(patterns_behind(name), weights, camera.sensor.cfa_indices), plan)
 
 
+@pytest.mark.slow
 def test_a_point_of_1e9_behind_an_aberrated_lens():
     """Coma, at some pixels next to the point and far from it."""
     camera = camera_of(wavefront=Wavefront(zernike=(0,) * 6 + (0.08,)))
@@ -210,6 +211,7 @@ def test_oblong_and_displaced_pixels(blades):
     compared(mean, electrons(patterns, weights / plan.flat, camera.sensor.cfa_indices), plan, 3e-3)
 
 
+@pytest.mark.slow
 def test_stacked_pixels():
     """All channels in every pixel, behind blades."""
     camera = camera_of({"stacked": True}, **LENSES["hexagon"][0])
@@ -217,6 +219,7 @@ def test_stacked_pixels():
     compared(mean, electrons(patterns_behind("hexagon"), weights), plan)
 
 
+@pytest.mark.slow
 def test_finer_samples():
     """Two samples along a pixel, each integrated over its cell, behind blades."""
     field, norm = LENSES["hexagon"][1]
@@ -314,6 +317,7 @@ def test_a_measured_spread_ends():
     assert np.abs(mean / dark - 1)[outer].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_points_behind_a_diffuser_stay_in_the_transforms():
     """A diffuser acts between pixels. The frame errs no more than it says, with a point 1e5 times as bright."""
     light = np.full((len(BANDS), 24, 28), 1.0, np.float32)

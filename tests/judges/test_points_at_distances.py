@@ -106,6 +106,7 @@ def disc():
     return energies(NEAR, INNER, INNER)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "device",
     [
@@ -131,6 +132,7 @@ def test_points_of_other_distances_are_others(disc):
         assert np.abs(energies(other, INNER, INNER) - disc).max() > 0.05 * disc.max()
 
 
+@pytest.mark.slow
 def test_a_point_behind_a_card(disc):
     """A card hides a part of the pupil: the part of the disc whose rays it stops is missing."""
     first = POINT[1] + 2

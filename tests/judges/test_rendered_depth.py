@@ -218,6 +218,7 @@ FAST = replace(LENS, f_number=2.0)
 LIMITS = {1: 0.03, 2: 0.01, 3: 0.01}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("ratio", "optics", "coefficients"),
     [

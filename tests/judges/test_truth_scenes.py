@@ -146,6 +146,7 @@ def test_pixels_integrate_points_wherever_they_lie(ratio, fill, moved):
     assert np.abs(found - wanted).max() < 1e-6 * wanted.max()
 
 
+@pytest.mark.slow
 def test_a_frame_off_its_axis_is_a_part_of_a_wider_one():
     """Coma of 0.3 waves, relative illumination and microlenses, whose axis is 12 pixels right of the middle."""
     rows, cols, more = 40, 44, 24

@@ -157,6 +157,7 @@ def test_pages_of_others_open_nothing(address):
         assert found == status, (site, mode, destination)
 
 
+@pytest.mark.slow
 def test_requests_without_a_stream_change_no_stream(address):
     """Pages without a browser, more than are kept: the stream that is open can open again."""
     with urlopen(address, timeout=30) as page:
