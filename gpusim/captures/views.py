@@ -194,13 +194,11 @@ class ViewCapture:
             self._tape.replay()
         else:
             with recording(self._tape):
-                self._rates = device.stack(list(self._rates_of_cells()))
+                found = device.stack(list(self._rates_of_cells()))
+                form = self.shape[0], self.shape[1] * found.shape[1], *found.shape[2:]
+                self._rates = device.reshape(found, form)
             self._taken_of = self.scene
-        cells, channels, rows, cols = self._rates.shape
-        rates = device.reshape(
-            self._rates, (self.shape[0], cells // self.shape[0] * channels, rows, cols)
-        )
-        return Views(rates, self.shares, self.plans, self.simulator, self.scene)
+        return Views(self._rates, self.shares, self.plans, self.simulator, self.scene)
 
     def _change(self, scene):
         """Use another scene. Raises BadData if the plans do not serve it."""

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gpusim.domain.account import STATUS
 from gpusim.domain.errors import BadData, BadFile
 
 if TYPE_CHECKING:  # the command line starts without them
@@ -24,7 +25,7 @@ def simulate_views(request: "SimulateRequest") -> int:
         request: Options of the command, with the numbers of views.
 
     Returns:
-        The exit status, 0.
+        The exit status: 1 if a view does not meet the tolerance, 3 if that cannot be judged.
 
     Raises:
         GpusimError: An option or a file is wrong.
@@ -45,6 +46,9 @@ def simulate_views(request: "SimulateRequest") -> int:
             f"camera {camera.name}: without lenslets there is no raw frame of views; write {VIEWS}, or set [sensor] "
             "lenslets"
         )
+    wants_views = any(Path(path).suffix == VIEWS for path in request.out)
+    if has_lenslets and wants_views:
+        _check_decodable(camera)
     simulator = request.open_simulator(camera)
     if not has_lenslets:
         for name in ("exposure", "seed", "frame"):
@@ -52,23 +56,50 @@ def simulate_views(request: "SimulateRequest") -> int:
     request.refuse_unread("simulate --views")
     if not has_lenslets:
         views = expose_views(simulator, scene, request.views)
-        pictures, words = views.pictures(), repr(views)
+        pictures = views.pictures() if wants_views else None
+        print(views)
         print(
-            f"{words}\n  added, they differ from the whole lens's picture by {views.difference:.2g} rms, by diffraction"
+            f"  added, they differ from the picture of the whole lens by {views.difference:.2g} rms"
         )
     else:
         exposure = expose_lenslets(simulator, scene, request.views)
         raw = exposure.raw(seed=request.seed, first=request.frame)
         raw = np.asarray(simulator.device.numpy(raw))
-        print(repr(exposure))
-        pictures = _decode(simulator, scene, exposure, raw, request.views)
+        views = exposure.views
+        print(exposure)
+        pictures = _decode(simulator, scene, exposure, raw, request.views) if wants_views else None
     for path in request.out:
         if Path(path).suffix == VIEWS:
             save_views(pictures, path)
         else:
             with atomic_path(path) as temporary, open(temporary, "wb") as file:
                 np.save(file, raw)
+    return _print_verdict(views)
+
+
+def _print_verdict(views):
+    """Print the cells' errors, and return the exit status that `gpusim plan` has for them."""
+    worst = views.account.total.rms
+    print(f"  predicted error of a view: {worst:.2g} rms at most")
+    verdicts = [made.verdict for made in views.plans.values() if made.verdict is not None]
+    states = [verdict.state for verdict in verdicts]
+    for state in ("not met", "not judged"):
+        if state in states:
+            print(
+                f"  tolerance: {verdicts[states.index(state)].shown} in {states.count(state)} views"
+            )
+            return STATUS[state]
     return 0
+
+
+def _check_decodable(camera):
+    """Raise BadData for sensors whose raw frames behind lenslets are not decoded."""
+    sensor = camera.sensor
+    wrong = "stacked" if sensor.stacked else "binning" if sensor.binning != (1, 1) else ""
+    if wrong:
+        raise BadData(
+            f"sensor.{wrong}: raw frames of such pixels behind lenslets are not decoded to views; write {RAW} only"
+        )
 
 
 def _check(request):

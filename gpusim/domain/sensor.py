@@ -211,6 +211,12 @@ class Sensor:
                 )
         check_fields("sensor", self, LIMITS)
         check_lenslets(self.lenslets, self.pixel_pitch)
+        for key in ("dual", "microlens", "vignetting"):
+            if self.lenslets is not None and getattr(self, key) is not None:
+                raise BadData(
+                    f"sensor.lenslets and sensor.{key}: what pixels behind lenslets see is not divided or dimmed any "
+                    f"further, and {key} would be ignored; leave one of them out"
+                )
         self._check_pixel()
         self._check_readout()
         self._check_mosaic()

@@ -64,6 +64,31 @@ def test_grid_is_found(exposure):
     assert np.abs(np.array(grid.origin) - middle).max() < 0.1
 
 
+@pytest.mark.parametrize("device", ["opencl", "warp:cpu"])
+def test_a_capture_sees_new_light_in_the_same_arrays(camera, device):
+    """A second call computes all again, though the scene is the same object: half the light, half the electrons."""
+    cube = np.random.default_rng(1).random((9, 12, 4)).astype(np.float32)
+    scene = gs.scene_from(cube, (450, 500, 550, 600), light="D65", luminance=100)
+    capture = gs.LensletCapture(gs.Simulator(camera, device=device), scene, (1, 2))
+    once = np.array(capture(None, 0.01))
+    assert np.array_equal(once, np.array(capture(None, 0.01)))
+    scene.content.planes[:] /= 2
+    assert np.allclose(np.array(capture(None, 0.01)), once / 2, rtol=1e-5, atol=1e-5 * once.max())
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sensor.dual": {"split": "left-right"}},
+        {"vignetting": [[1.0, 1.0], [1.0, 0.9]]},
+    ],
+)
+def test_settings_that_would_be_ignored(camera, change):
+    """Lenslets beside photodiodes that divide light, or a map of responses, are refused."""
+    with pytest.raises(BadData, match="leave one of them out"):
+        camera.with_(**change)
+
+
 def test_refusals(camera):
     """Ordinary frames of such a camera, and lenslet frames of others."""
     scene = gs.chart("flat", size=(24, 16))
