@@ -69,7 +69,7 @@ def simulate_views(request: "SimulateRequest") -> int:
         print(exposure)
         pictures = _decode(simulator, scene, exposure, raw, request.views) if wants_views else None
     for path in request.out:
-        if Path(path).suffix == VIEWS:
+        if pictures is not None and Path(path).suffix == VIEWS:
             save_views(pictures, path)
         else:
             with atomic_path(path) as temporary, open(temporary, "wb") as file:
