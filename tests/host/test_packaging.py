@@ -26,6 +26,7 @@ LAYERS = (
     "judge",
     "captures",
     "plot",
+    "fit",
     "apps",
     "bench",
     "cli",
