@@ -92,6 +92,28 @@ def gaussian_tables(widths: np.ndarray, period: tuple[int, int]) -> np.ndarray:
     return np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
 
 
+def displaced_tables(widths: np.ndarray, shifts: np.ndarray, period: tuple[int, int]) -> np.ndarray:
+    """Return half tables of the transfer functions of Gaussian kernels off their centres, float64.
+
+    Args:
+        widths: Standard deviations [pixel], shape (..., 1, 1).
+        shifts: Displacements along rows and columns [pixel], shape (2, ..., 1, 1).
+        period: Lengths of the transform [pixel].
+
+    Returns:
+        Tables [1], real and imaginary parts side by side, shape (..., period[0], 2 (period[1] // 2 + 1)).
+    """
+    fy = np.fft.fftfreq(period[0])[:, None]
+    fx = np.arange(period[1] // 2 + 1) / period[1]
+    turns = np.exp(-2j * np.pi * (shifts[0] * fy + shifts[1] * fx))
+    tables = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2)) * turns
+    # of a real kernel, a column that is its own opposite has conjugates at opposite rows
+    opposite = -np.arange(period[0]) % period[0]
+    for j in {0, period[1] // 2} if period[1] % 2 == 0 else {0}:
+        tables[..., j] = (tables[..., j] + tables[..., opposite, j].conj()) / 2
+    return tables.view(np.float64)
+
+
 def conditioned_case(
     name: str,
     inputs: dict,

@@ -23,7 +23,7 @@ import numpy as np
 
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
-from gpusim.kernels.common.cases import gaussian_tables
+from gpusim.kernels.common.cases import displaced_tables, gaussian_tables
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import fft_length
 
@@ -200,16 +200,8 @@ def cases():
         widths = random.uniform(0.5, 3, (channels if own else 1, count, 1, 1))
         tables = gaussian_tables(widths, period)
         if rows == 33:  # kernels that are off their centres: complex tables
-            fy = np.fft.fftfreq(period[0])[:, None]
             shifts = random.uniform(-2, 2, (2, *widths.shape))
-            fx = np.arange(period[1] // 2 + 1) / period[1]
-            phases = np.exp(-2j * np.pi * (shifts[0] * fy + shifts[1] * fx))
-            spread = np.exp(-2 * (np.pi * widths) ** 2 * (fy**2 + fx**2))
-            tables = (spread * phases).view(np.float64)
-            # a frequency that is its own opposite has a real value
-            for i in (0, period[0] // 2) if period[0] % 2 == 0 else (0,):
-                for j in (0, period[1] // 2) if period[1] % 2 == 0 else (0,):
-                    tables[..., i, 2 * j + 1] = 0
+            tables = displaced_tables(widths, shifts, period)
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
         inputs = {

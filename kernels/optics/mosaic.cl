@@ -1,5 +1,6 @@
 // Weighted spectra, folded as the mosaic samples them; the transforms are elsewhere (common/fft.py).
-// SIZE, CHANNELS, PERIOD_Y, PERIOD_X and CFA, the channel of each phase of the period, come from the host.
+// SIZE, CHANNELS, PERIOD_Y, PERIOD_X and CFA, the channel of each phase of the period, come from the host, and COMPLEX:
+// tables are halves of complex values.
 
 float2 times(const float2 a, const float2 b) { return (float2)(a.x * b.x - a.y * b.y, a.x * b.y + a.y * b.x); }
 
@@ -7,6 +8,7 @@ __kernel void fold(
     // in:
     __global const float2 *restrict spectra,  // [SIZE][rows * PERIOD_Y][pitch]
     __global const float *restrict tables,    // [1 or CHANNELS][count][rows * PERIOD_Y / 2 + 1][cols * PERIOD_X / 2 + 1]
+                                              // or [1 or CHANNELS][count][rows * PERIOD_Y][cols * PERIOD_X / 2 + 1][2]
     __constant float *mix,                    // [CHANNELS][SIZE]
     __global const float2 *restrict turns_y,  // [rows * PERIOD_Y][PERIOD_Y]
     __global const float2 *restrict turns_x,  // [cols * PERIOD_X][PERIOD_X]
@@ -21,7 +23,7 @@ __kernel void fold(
     GUARD(x >= half_x || y >= rows)
     const int cfa[] = {CFA};
     const int period_y = rows * PERIOD_Y, period_x = cols * PERIOD_X, table_pitch = period_x / 2 + 1;
-    const size_t plane = (size_t)period_y * pitch, quarter = (size_t)(period_y / 2 + 1) * table_pitch;
+    const size_t plane = (size_t)period_y * pitch, size = (size_t)(COMPLEX ? 2 * period_y : period_y / 2 + 1) * table_pitch;
     float2 sums[PERIOD_Y * PERIOD_X];
 #pragma unroll
     for (int p = 0; p < PERIOD_Y * PERIOD_X; ++p)
@@ -37,7 +39,11 @@ __kernel void fold(
             const int column = mirrored ? period_x - fx : fx;
             const int row = mirrored && fy > 0 ? period_y - fy : fy;
             const size_t at = (size_t)row * pitch + column;
+#if COMPLEX
+            const size_t entry = 2 * ((size_t)row * table_pitch + column);
+#else
             const size_t entry = (size_t)min(fy, period_y - fy) * table_pitch + column;
+#endif
             float2 total[CHANNELS];
 #pragma unroll
             for (int c = 0; c < CHANNELS; ++c) total[c] = (float2)(0.0f, 0.0f);
@@ -45,9 +51,14 @@ __kernel void fold(
             for (int k = 0; k < SIZE; ++k) {
                 const float2 value = spectra[k * plane + at];
 #pragma unroll
-                for (int c = 0; c < CHANNELS; ++c)
-                    total[c] += mix[c * SIZE + k] * tables[(own_tables * c * count + first + k) * quarter + entry]
-                                * value;
+                for (int c = 0; c < CHANNELS; ++c) {
+                    __global const float *table = tables + ((own_tables * c * count + first + k) * size + entry);
+#if COMPLEX
+                    total[c] += mix[c * SIZE + k] * times((float2)(table[0], table[1]), value);
+#else
+                    total[c] += mix[c * SIZE + k] * table[0] * value;
+#endif
+                }
             }
 #pragma unroll
             for (int c = 0; c < CHANNELS; ++c) total[c].y = mirrored ? -total[c].y : total[c].y;

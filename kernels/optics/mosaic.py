@@ -1,7 +1,8 @@
 """Blur of weighted planes straight to the mosaic: each pixel gets only its own channel.
 
-Ports: planes (planes, rows, cols) float32, tables (groups, planes, period_y // 2 + 1, period_x // 2
-+ 1) float32 [1], mix (channels, planes) float32, cfa (ph, pw) -> mosaic (rows, cols) float32:
+Ports: planes (planes, rows, cols) float32, tables (groups, planes, ...) float32 [1], quarters or
+halves as for `optics.blur`, mix (channels, planes) float32, cfa (ph, pw) -> mosaic (rows, cols)
+float32:
 
     e(y, x) = sum over k of  mix[c, k] (planes_k * kernel_ck)(y, x),   c = cfa[y mod ph, x mod pw].
 
@@ -22,7 +23,7 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.kernels.common import fft
 from gpusim.kernels.common.border import BORDERS
-from gpusim.kernels.common.cases import RGGB, gaussian_tables
+from gpusim.kernels.common.cases import RGGB, displaced_tables, gaussian_tables
 from gpusim.kernels.stage import Array, Case, stage, warp_only
 from gpusim.optics.lengths import transform_lengths
 
@@ -45,8 +46,9 @@ def mosaic(
 
     Args:
         planes: Light of each plane, shape (planes, rows, cols).
-        tables: Quarters of the transfer functions [1], shape (1 or channels, planes, period[0] // 2
-            + 1, period[1] // 2 + 1), as for `optics.blur`.
+        tables: Transfer functions [1], shape (1 or channels, planes, period[0] // 2 + 1, period[1]
+            // 2 + 1), or (1 or channels, planes, period[0], 2 (period[1] // 2 + 1)), as for
+            `optics.blur`.
         mix: Weight of each plane in each channel, shape (channels, planes).
         cfa: Channel of each pixel in one period of the mosaic, shape (ph, pw).
         border: "zero", "edge" or "reflect".
@@ -80,6 +82,7 @@ def mosaic(
 def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
     """Transform whole planes, with the fold between the transforms."""
     count, channels, own_tables = len(mix[0]), len(mix), int(tables.shape[0] > 1)
+    is_complex = _is_complex(tables, period)
     small = tuple(length // n for length, n in zip(period, cfa.shape, strict=True))
     half, pitch = small[1] // 2 + 1, fft.pitch_of(device, small[1])
     turns = [device.array(_turns(length, n)) for length, n in zip(period, cfa.shape, strict=True)]
@@ -94,6 +97,7 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
         some = device.array(mix[:, first : first + size])
         arrays = [spectra, tables, some, *turns, *channel_of, folded]
         numbers = [int(first == 0), first, count, own_tables]
+        numbers += warp_only(device, is_complex)
         sizes = [*small, half, spectra.shape[2], pitch]
         launch(
             "fold",
@@ -102,11 +106,12 @@ def _by_planes(device, planes, tables, mix, cfa, border, period, start, out):
             *numbers,
             *warp_only(device, size, channels, *cfa.shape),
             *sizes,
-            defines=phases | {"SIZE": size, "CHANNELS": channels, "CFA": channel_list},
+            defines=phases
+            | {"SIZE": size, "CHANNELS": channels, "CFA": channel_list, "COMPLEX": is_complex},
         )
     pixels = fft.inverse(device, folded, small[1])
     sizes = [*start, *out.shape, *warp_only(device, *cfa.shape), *small]
-    defines = phases | {"SIZE": 1, "CHANNELS": 1, "CFA": "0"}
+    defines = phases | {"SIZE": 1, "CHANNELS": 1, "CFA": "0", "COMPLEX": 0}
     launch("interleave", out.shape, pixels, out, *sizes, defines=defines)
 
 
@@ -155,6 +160,7 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
             "LOCAL_BYTES": max(fft.room(period[1], rows_forward), fft.room(small[1], rows_inverse)),
             "OWN": -(-small[1] // group),
             "CHANNELS": len(mix),
+            "COMPLEX": _is_complex(tables, period),
             "CFA": ", ".join(map(str, cfa.ravel())),
             "TURNS_Y": fft.roots_text(phases_y),
             "TURNS_X": fft.roots_text(phases_x),
@@ -174,6 +180,11 @@ def _by_lines(device, planes, tables, mix, cfa, border, period, start, lines, ou
     arrays, sizes = [folded, roots_y, out], [1 / (period[0] * period[1]), *start, *out.shape]
     grid = (-(-small[1] // columns_inverse) * group,)
     launch("columns_inverse", grid, *arrays, *sizes, group=(group,), defines=defines)
+
+
+def _is_complex(tables, period):
+    """Return 1 if tables are halves of complex values, 0 if they are quarters of real ones."""
+    return int(tables.shape[3] != period[1] // 2 + 1)
 
 
 def _lines(local_bytes, period, cfa_shape):
@@ -206,8 +217,8 @@ def _turns(length, count):
 def cases():
     """Yield cases.
 
-    All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, a
-    highlight of 1e6.
+    All borders and Bayer phases, periods 1 to 8, odd sizes, more than a batch, own tables, kernels
+    off their centres, a highlight of 1e6.
     """
     random = np.random.default_rng(5)
     why = (
@@ -224,10 +235,16 @@ def cases():
         (40, 31, 2, [[0, 1, 2]], 1, "edge", (45, 45), 0),
         (31, 40, 2, np.arange(32).reshape(8, 4) % 3, 0, "zero", (40, 48), 3),
         (33, 21, 2, np.arange(15).reshape(3, 5) % 4, 1, "edge", (45, 25), 0),
+        (33, 30, 9, bayer, 0, "edge", (40, 48), 2),
+        (33, 30, 3, [[1, 0], [2, 1]], 1, "reflect", (50, 36), 0),
+        (33, 40, 2, np.arange(9).reshape(3, 3) % 4, 1, "zero", (45, 45), 0),
     ):
         channels = int(np.max(cfa)) + 1
         widths = random.uniform(0.3, 2, (channels if own else 1, count, 1, 1))
         tables = gaussian_tables(widths, period)
+        if rows == 33 and cols >= 30:
+            shifts = random.uniform(-2, 2, (2, *widths.shape))
+            tables = displaced_tables(widths, shifts, period)
         planes = random.random((count, rows, cols))
         planes[0, rows // 2, cols // 2] = 1e6
         inputs = {

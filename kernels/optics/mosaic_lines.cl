@@ -1,7 +1,8 @@
 // The mosaic by transforms of whole lines in local memory: columns forward, rows forward - weighted, summed and folded
 // - inverse, columns inverse. Spectra of whole planes are never in global memory.
 // From the host, for each kernel's own program: THREADS of a group, FORWARD and INVERSE, lists of PASS(...),
-// BORDER, PERIOD_Y, PERIOD_X, CHANNELS and CFA of the mosaic, the transforms' LENGTH_Y and LENGTH_X, and others below.
+// BORDER, PERIOD_Y, PERIOD_X, CHANNELS and CFA of the mosaic, the transforms' LENGTH_Y and LENGTH_X, COMPLEX (tables are
+// halves of complex values), and others below.
 #include "border.clh"
 #include "fft.clh"
 
@@ -60,6 +61,7 @@ __kernel void fold(
     // in:
     __global const float2 *restrict halves,   // [size][LENGTH_Y / 2 + 1][pitch]
     __global const float *restrict tables,    // [1 or CHANNELS][count][LENGTH_Y / 2 + 1][LENGTH_X / 2 + 1]
+                                              // or [1 or CHANNELS][count][LENGTH_Y][LENGTH_X / 2 + 1][2]
     __constant float *mix,                    // [CHANNELS][size]
     __global const float2 *restrict roots_y,  // [LENGTH_Y]
     __global const float2 *restrict roots,    // [LENGTH_X]
@@ -74,14 +76,14 @@ __kernel void fold(
     const float2 turns_y[PERIOD_Y] = {TURNS_Y}, turns_x[PERIOD_X] = {TURNS_X};  // roots of unity of the periods
     const int cfa[PHASES] = {CFA};
     const int item = get_local_id(0), y = get_group_id(0);
-    const int quarter = (LENGTH_Y / 2 + 1) * (LENGTH_X / 2 + 1);
-    const size_t between = (size_t)own_tables * count * quarter;  // from one channel's tables to the next
+    const int table_size = (COMPLEX ? 2 * LENGTH_Y : LENGTH_Y / 2 + 1) * (LENGTH_X / 2 + 1);
+    const size_t between = (size_t)own_tables * count * table_size;  // from one channel's tables to the next
     float2 sums[PHASES][OWN];  // of the work-item's own columns: item, item + THREADS, ...
     _Pragma("unroll") for (int p = 0; p < PHASES; ++p)
         _Pragma("unroll") for (int n = 0; n < OWN; ++n) sums[p][n] = PAIR(0.0f, 0.0f);
     for (int k = 0; k < size; ++k) {
         __global const float2 *half_plane = halves + (size_t)k * (LENGTH_Y / 2 + 1) * pitch;
-        __global const float *table = tables + (size_t)(first + k) * quarter;
+        __global const float *table = tables + (size_t)(first + k) * table_size;
         _Pragma("unroll") for (int set = 0; set < PERIOD_Y; set += ROWS_FORWARD) {
 #define SIDE_BY_SIDE 0
 #define LOAD(l, e) of_row(half_plane, y + (set + (l)) * SMALL_Y, inside_of((e) - before, cols), pitch)
@@ -91,19 +93,33 @@ __kernel void fold(
                 const int x = item + n * THREADS;
                 if (x < SMALL_X) {
                     _Pragma("unroll") for (int l = 0; l < ROWS_FORWARD; ++l) {
-                        const int a = set + l, fy = y + a * SMALL_Y, row = fy < LENGTH_Y - fy ? fy : LENGTH_Y - fy;
+                        const int a = set + l, fy = y + a * SMALL_Y;
                         _Pragma("unroll") for (int b = 0; b < PERIOD_X; ++b) {
-                            const int fx = x + b * SMALL_X, column = fx < LENGTH_X - fx ? fx : LENGTH_X - fx;
+                            const int fx = x + b * SMALL_X, is_opposite = fx > LENGTH_X - fx;
+                            const int column = is_opposite ? LENGTH_X - fx : fx;
                             const float2 value = line[l * ROOM(LENGTH_X) + AT(LENGTH_X, fx)];
+#if COMPLEX
+                            // columns that are not stored are the conjugates of the opposite frequency
+                            const int row = is_opposite && fy > 0 ? LENGTH_Y - fy : fy;
+                            __global const float *entry = table + 2 * (row * (LENGTH_X / 2 + 1) + column);
+                            float2 weighted[CHANNELS];
+                            _Pragma("unroll") for (int c = 0; c < CHANNELS; ++c) {
+                                const float2 transfer = *(__global const float2 *)(entry + c * between);
+                                weighted[c] = times(value, is_opposite ? conjugate(transfer) : transfer)
+                                              * mix[c * size + k];
+                            }
+#else
+                            const int row = fy < LENGTH_Y - fy ? fy : LENGTH_Y - fy;
                             __global const float *entry = table + (row * (LENGTH_X / 2 + 1) + column);
-                            float weights[CHANNELS];
+                            float2 weighted[CHANNELS];
                             _Pragma("unroll") for (int c = 0; c < CHANNELS; ++c)
-                                weights[c] = mix[c * size + k] * entry[c * between];
+                                weighted[c] = value * (mix[c * size + k] * entry[c * between]);
+#endif
                             _Pragma("unroll") for (int p = 0; p < PHASES; ++p) {
                                 const float2 turn = times(turns_y[a * (p / PERIOD_X) % PERIOD_Y],
                                                           turns_x[b * (p % PERIOD_X) % PERIOD_X]);
-                                const float2 weighted = value * weights[cfa[p]];
-                                sums[p][n] += turn.y == 0.0f ? weighted * turn.x : times(weighted, turn);
+                                const float2 term = weighted[cfa[p]];
+                                sums[p][n] += turn.y == 0.0f ? term * turn.x : times(term, turn);
                             }
                         }
                     }

@@ -12,8 +12,6 @@ def mosaic(planes, tables, mix, cfa, border, period, margin=0):
         ((length - n) // 2, length - n - (length - n) // 2)
         for length, n in zip(period, (rows, cols), strict=True)
     ]
-    # the quarter table at |frequency|: index min(i, n - i)
-    fold = np.ix_(*(np.minimum(np.arange(n), n - np.arange(n)) for n in period))
     spectra = [
         np.fft.fft2(np.pad(np.asarray(plane, np.float64), pad, mode=MODES[border]))
         for plane in planes
@@ -26,7 +24,20 @@ def mosaic(planes, tables, mix, cfa, border, period, margin=0):
         total = np.zeros(period, complex)
         for k in range(count):
             table = np.asarray(tables[min(c, len(tables) - 1), k], np.float64)
-            total += weights[k] * table[fold] * spectra[k]
+            total += weights[k] * _unfold(table, period) * spectra[k]
         blurred = np.fft.ifft2(total).real
         out = np.where(channel == c, blurred[y, x], out)
     return out
+
+
+def _unfold(table, period):
+    """Return a table at all frequencies: a quarter at |frequency|, or a half and the conjugates of the opposites."""
+    opposite_y, opposite_x = (-np.arange(n) % n for n in period)
+    half = period[1] // 2 + 1
+    if table.shape[1] == half:
+        at = [np.minimum(np.arange(n), n - np.arange(n)) for n in period]
+        return table[np.ix_(*at)]
+    values = np.empty(period, complex)
+    values[:, :half] = table[:, 0::2] + 1j * table[:, 1::2]
+    values[:, half:] = values[opposite_y][:, opposite_x[half:]].conj()
+    return values

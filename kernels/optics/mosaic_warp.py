@@ -28,6 +28,7 @@ def fold(
     first: int,
     count: int,
     own_tables: int,
+    is_complex: int,
     # sizes:
     size: int,
     channels: int,
@@ -63,10 +64,18 @@ def fold(
             for c in range(channels):
                 total = wp.vec2(0.0, 0.0)
                 for k in range(size):
-                    weight = mix[c, k] * tables[own_tables * c, first + k, entry, column]
-                    total += weight * wp.vec2(
-                        spectra[k, row, column, 0], sign * spectra[k, row, column, 1]
-                    )
+                    value = wp.vec2(spectra[k, row, column, 0], spectra[k, row, column, 1])
+                    if is_complex == 1:
+                        transfer = wp.vec2(
+                            tables[own_tables * c, first + k, row, 2 * column],
+                            tables[own_tables * c, first + k, row, 2 * column + 1],
+                        )
+                        total += mix[c, k] * times(transfer, value)
+                    else:
+                        total += (
+                            mix[c, k] * tables[own_tables * c, first + k, entry, column] * value
+                        )
+                total = wp.vec2(total[0], sign * total[1])
                 for dy in range(phases_y):
                     for dx in range(phases_x):
                         if cfa[dy, dx] == c:
@@ -74,12 +83,12 @@ def fold(
                                 wp.vec2(turns_y[fy, dy, 0], turns_y[fy, dy, 1]),
                                 wp.vec2(turns_x[fx, dx, 0], turns_x[fx, dx, 1]),
                             )
-                            value = times(total, turn)
+                            turned = times(total, turn)
                             folded[dy * phases_x + dx, y, x, 0] = (
-                                folded[dy * phases_x + dx, y, x, 0] + value[0]
+                                folded[dy * phases_x + dx, y, x, 0] + turned[0]
                             )
                             folded[dy * phases_x + dx, y, x, 1] = (
-                                folded[dy * phases_x + dx, y, x, 1] + value[1]
+                                folded[dy * phases_x + dx, y, x, 1] + turned[1]
                             )
 
 

@@ -75,9 +75,7 @@ def form_of(question: Question, around: Surroundings, depth: DepthPlan | None) -
         and question.ratio == 1
         and not sensor.is_monochrome
         and not sensor.stacked
-        and lens.symmetry.is_round
         and lens.is_uniform
-        and not any(lens.displacement)
         and depth is None
     )
     if around.tiling is not None:
