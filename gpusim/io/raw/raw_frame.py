@@ -19,7 +19,7 @@ class RawFrame:
             one channel.
         name: Name of the file, without its folder.
         camera: Make and model.
-        black_level: Black level [DN] that the file states, for each place of a period, or None.
+        black_level: Black level [DN] that the file states, shape (1, 1) or that of one period, or None.
         white_level: Largest value [DN] that the file states.
         iso: ISO speed.
         exposure_time: Exposure time [s].
@@ -27,6 +27,7 @@ class RawFrame:
         focal_length: Focal length [m].
         temperature: Temperature of the sensor [deg C].
         photons: Photons on a pixel during the exposure, if they were measured [photon].
+        noise_profile: Pairs S, O of a DNG's noise profile, shape (1, 2) or (planes, 2), or None.
         notes: Lines about what was found in the file and not used.
     """
 
@@ -42,6 +43,7 @@ class RawFrame:
     focal_length: float | None = None
     temperature: float | None = None
     photons: float | None = None
+    noise_profile: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     __repr__ = short_repr
@@ -50,3 +52,8 @@ class RawFrame:
     def channels(self) -> tuple[str, ...]:
         """Letters of the mosaic, each once, in their order of appearance."""
         return tuple(dict.fromkeys("".join(self.cfa)))
+
+    @property
+    def period(self) -> tuple[int, int]:
+        """Rows and columns of one period of the mosaic."""
+        return len(self.cfa), len(self.cfa[0])

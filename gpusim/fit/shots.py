@@ -1,0 +1,64 @@
+"""Shots that a fit starts from: raw files, and what each of them shows."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpusim.domain.camera import Camera
+from gpusim.domain.short_repr import short_repr
+from gpusim.io.raw.raw_files import read_raw
+from gpusim.io.raw.raw_frame import RawFrame
+
+# what a shot shows: no light; even light; colour patches; slanted edges; a grid of dots or a checkerboard; even light
+# through the lens; steps of light
+KINDS = ("dark", "flat", "chart", "edges", "grid", "shading", "ramp")
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame of a file, which is read when it is needed.
+
+    Args:
+        path: The file.
+        index: Index of the frame in the file.
+        kind: What it shows, one of `KINDS`.
+        settings: Fields of `RawFrame` in place of the file's.
+    """
+
+    path: Path
+    index: int = 0
+    kind: str = ""
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
+
+    def read(self) -> RawFrame:
+        """Return the frame. Raises as `read_raw`."""
+        return read_raw(self.path, self.index, **self.settings)
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """What a part of the fit may take as known.
+
+    Args:
+        base: Camera whose values stand for what the shots do not tell.
+        cfa: Mosaic of the shots.
+        black_level: Measured black level, or else that of the files [DN], shape (1, 1) or that of
+            one period.
+        white_level: Largest value [DN].
+        gain: System gain by ISO speed [DN/e-]; empty if it was not measured.
+        options: Options of the user by name, such as the light of a chart.
+    """
+
+    base: Camera
+    cfa: tuple[str, ...]
+    black_level: np.ndarray
+    white_level: float
+    gain: Mapping[float | None, float] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    __repr__ = short_repr
