@@ -1,0 +1,413 @@
+"""The noise of a sensor from its dark frames and flats, one ISO speed after the other."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from itertools import count
+
+import numpy as np
+
+from gpusim.domain.errors import BadData
+from gpusim.fit.darks import DarkLine, Drift, Hot, find_drift, find_hot, fit_dark_line
+from gpusim.fit.findings import Tails, find_tails
+from gpusim.fit.intervals import (
+    MeanSquare,
+    Range,
+    chance_of_normal,
+    difference_of,
+    normal_range,
+    root_of,
+    widened,
+)
+from gpusim.fit.levels import Level, level_of, stack_group
+from gpusim.fit.patterns import DEGREE, Pattern, outliers, share_range, split_pattern
+from gpusim.fit.rounding import FINE, rounding_bias
+from gpusim.fit.sorting import Summary, group_darks, group_flats
+from gpusim.fit.transfer import (
+    SHOOT_FLATS,
+    Linearity,
+    Transfer,
+    find_clipping,
+    fit_linearity,
+    fit_transfer,
+)
+
+DEAD = 0.3  # response of a dead pixel, relative to the mean
+RESTLESS = 1e-7  # chance of a pixel's temporal variance, for telegraph noise
+STEPS = 4.5  # standard deviations of dark values that must lie above 0
+MOVED = 5.0, 0.03  # standard errors and pixels of a displacement that is one
+SAFE = 0.85  # part of the brightest level that no channel of a darker one may reach
+SHOOT_DARKS = "shoot 8 or more frames with the lens capped at the exposure times of use"
+
+
+@dataclass
+class IsoFit:
+    """What the frames of one ISO speed tell.
+
+    Args:
+        iso: ISO speed, None if the files do not say.
+        black: Black level [DN].
+        dark_line: Dark signal over time.
+        drift: Change of the black level over the frames.
+        transfer: Photon transfer line.
+        linearity: Signal over exposure, or None.
+        offsets, response: Fixed patterns of dark frames [DN^2] and of the response [1].
+        row, column: Temporal noise of rows and columns [DN^2].
+        hot: Hot pixels.
+        dead, restless: Shares of dead pixels, and of pixels with telegraph noise.
+        jump: Mean distance of the two values of telegraph noise [DN].
+        tails: Distribution of the read noise.
+        darks, flats: Numbers of the levels.
+        dark_map: Mean dark frame [DN].
+        good: Pixels that are no defects.
+        is_whole: Whether values are whole numbers.
+        dark_deviation: Standard deviation of a dark pixel's values, temporal and fixed [DN].
+    """
+
+    iso: float | None
+    black: Range
+    dark_line: DarkLine
+    drift: Drift | None
+    transfer: Transfer
+    linearity: Linearity | None
+    offsets: Pattern | None
+    response: Pattern | None
+    row: Range
+    column: Range
+    hot: Hot | None
+    dead: Range
+    restless: Range
+    jump: float
+    tails: Tails | None
+    darks: list[Level]
+    flats: list[Level]
+    dark_map: np.ndarray
+    good: np.ndarray
+    is_whole: bool
+    dark_deviation: float
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def gain(self) -> float:
+        """System gain [DN/e-]."""
+        return self.transfer.line.slope
+
+    @property
+    def gain_spread(self) -> float:
+        """Relative standard error of the gain."""
+        return self.transfer.gain_error / self.gain
+
+    def in_electrons(self, variance: Range) -> Range:
+        """Return the standard deviation [e-] of a variance [DN^2]."""
+        return widened(root_of(variance).scaled(1 / self.gain), self.gain_spread)
+
+
+def fit_isos(darks: Sequence[Summary], flats: Sequence[Summary]) -> list[IsoFit]:
+    """Fit each ISO speed that has dark frames and flats.
+
+    Args:
+        darks: Frames without light.
+        flats: Frames of even light.
+
+    Returns:
+        The fits, in the order of ISO speeds.
+
+    Raises:
+        BadData: Frames are missing, clipped or moved.
+    """
+    if not flats:
+        raise BadData(f"no flats: gain and noise in electrons need them; {SHOOT_FLATS}")
+    if not darks:
+        raise BadData(f"no dark frames: black level and read noise need them; {SHOOT_DARKS}")
+    speeds = sorted({one.frame.iso for one in flats}, key=lambda iso: iso or 0)
+    for iso in speeds:
+        if not any(one.frame.iso == iso for one in darks):
+            raise BadData(
+                f"no dark frames at ISO {iso}, which the flats have; {SHOOT_DARKS}, at each ISO speed"
+            )
+    done, total = count(), len(darks) + len(flats)
+    return [
+        _fit_iso(
+            iso,
+            [one for one in darks if one.frame.iso == iso],
+            [one for one in flats if one.frame.iso == iso],
+            done,
+            total,
+        )
+        for iso in speeds
+    ]
+
+
+def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
+    period = darks[0].frame.period
+    is_whole = all(one.is_whole for one in darks)
+    groups = group_darks(darks)
+    main = max(groups, key=lambda group: min(len(group), 8))
+    if len(main) < 2:
+        raise BadData(f"{main[0].frame.name} is a single dark frame; {SHOOT_DARKS}")
+    stack = stack_group(main, done, total, is_dark=True)
+    good = np.ones(stack.shape, bool)
+    good &= ~outliers(stack.mean, good, period)
+    restless, jump = _restless(stack, good)
+    good &= ~restless
+    longest, hot = _longest(groups, main), None
+    levels = []
+    if longest is not None and len(longest) > 1:
+        other = stack_group(longest, done, total, is_dark=True)
+        excess = other.mean - stack.mean
+        bad = outliers(excess, np.ones(stack.shape, bool), period)
+        excess -= np.median(excess[::7, ::7])
+        seconds = longest[0].frame.exposure_time - main[0].frame.exposure_time
+        hot = find_hot(excess, bad, seconds)
+        good &= ~bad
+        levels.append(level_of(longest, other, good))
+        del other, excess
+    levels.insert(0, level_of(main, stack, good))
+    for group in groups:
+        if group is not main and group is not longest and len(group) > 1:
+            other = stack_group(group, done, total, is_dark=True)
+            levels.append(level_of(group, other, good))
+            del other
+    row, column, pixel = _lines(stack, good)
+    line_error = max(row.value, 0.0) / stack.shape[0] + max(column.value, 0.0) / stack.shape[1]
+    dark_line = fit_dark_line(levels, line_error)
+    offsets = split_pattern(*(half.copy() for half in stack.halves), good, period)
+    fixed = sum(max(part.value, 0.0) for part in (offsets.pixel, offsets.row, offsets.column))
+    temporal = pixel.value + max(row.value, 0.0) + max(column.value, 0.0)
+    deviation = math.sqrt(temporal + fixed)
+    black = _black_range(dark_line, offsets, good.shape, deviation, is_whole)
+    tails = None
+    if stack.count >= 4 and temporal > FINE**2:
+        tails = find_tails(
+            stack.residual[good], math.sqrt(pixel.value), float(is_whole)
+        )
+    dark_map, halves = stack.mean, stack.halves
+    drift = find_drift(levels[0], line_error)
+    restless_share = share_range(int(np.count_nonzero(restless)), good.size)
+    del stack
+    flat_levels, response, dead, good = _read_flats(
+        flats, black.value, halves, good, period, levels, done, total, fixed
+    )
+    transfer = fit_transfer(
+        flat_levels,
+        levels,
+        black.value,
+        max(row.value, 0.0) + max(column.value, 0.0),
+        is_whole,
+        line_error,
+        fixed,
+    )
+    return IsoFit(
+        iso,
+        black,
+        dark_line,
+        drift,
+        transfer,
+        fit_linearity(flat_levels, black.value, line_error),
+        offsets,
+        response,
+        row,
+        column,
+        hot,
+        dead,
+        restless_share,
+        jump,
+        tails,
+        levels,
+        flat_levels,
+        dark_map,
+        good,
+        is_whole,
+        deviation,
+    )
+
+
+def _longest(groups, main):
+    """Return the group of the longest exposure at the main group's temperature, or None."""
+    degrees = main[0].frame.temperature
+    known = [
+        group
+        for group in groups
+        if group[0].frame.exposure_time is not None
+        and (group[0].frame.temperature is None) == (degrees is None)
+        and (degrees is None or round(group[0].frame.temperature) == round(degrees))
+    ]
+    longest = max(known, key=lambda group: group[0].frame.exposure_time, default=None)
+    return None if longest is main else longest
+
+
+def _restless(stack, good):
+    """Return pixels whose temporal variance is too large for noise, and their jumps [DN]."""
+    import scipy.special
+
+    variance = stack.squares / np.float32(stack.freedom)
+    middle = float(np.median(variance[::3, ::3]))
+    freedom = stack.freedom
+    # the median of a mean square lies below its expectation
+    typical = middle * freedom / (2 * scipy.special.gammaincinv(freedom / 2, 0.5))
+    limit = 2 * scipy.special.gammainccinv(freedom / 2, RESTLESS) / freedom * max(typical, 0.05)
+    found = (variance > 1.5 * limit) & good
+    excess = variance[found] - typical
+    jump = float(np.mean(2 * np.sqrt(np.maximum(excess, 0)))) if found.any() else 0.0
+    return found, jump
+
+
+def _lines(stack, good):
+    """Return the temporal variance of rows and of columns, and that of pixels [DN^2]."""
+    pixel = stack.pixel_square(good)
+    rows, cols = stack.shape
+    row = difference_of(stack.row_square(), pixel.scaled(1 / cols))
+    column = difference_of(stack.column_square(), pixel.scaled(1 / rows))
+    return row, column, pixel
+
+
+def _black_range(dark_line, offsets, shape, deviation, is_whole):
+    """Return the black level: errors of the frames, and of a chip whose pattern is a sample."""
+    rows, cols = shape
+    pattern = (
+        max(offsets.pixel.high, 0.0) / (rows * cols)
+        + max(offsets.row.high, 0.0) / rows
+        + max(offsets.column.high, 0.0) / cols
+    )
+    error = math.sqrt(dark_line.black_variance + pattern)
+    bias = rounding_bias(deviation) if is_whole else 0.0
+    return normal_range(dark_line.black, error, bias)
+
+
+def _read_flats(flats, black, dark_halves, good, period, darks, done, total, fixed):
+    """Return the flats' levels, the pattern of the response, the share of dead pixels, good pixels."""
+    groups = group_flats(flats, black)
+    stated = flats[0].frame.white_level
+    levels, response = [], _Response(dark_halves, period, "".join(flats[0].frame.cfa))
+    brightest = np.max([one.means for one in groups[-1]], axis=0) - black
+    for group in groups:
+        stack = stack_group(group, done, total, good=good)
+        level = level_of(group, stack, good)
+        _check_still(level)
+        levels.append(level)
+        find_clipping(levels, darks, stated)
+        if group is not groups[-1]:
+            response.add(stack, level, black, SAFE * brightest)
+    if not any(level.count > 1 for level in levels):
+        raise BadData(f"{levels[0].names[0]} is the only flat of its level; {SHOOT_FLATS}")
+    for level in levels:
+        level.clipped.clear()
+    find_clipping(levels, darks, stated)
+    response.add(stack, levels[-1], black, np.full(len(brightest), np.inf))
+    pattern, dead, good = response.finish(good)
+    return levels, pattern, dead, good
+
+
+def _check_still(level):
+    """Raise BadData if the frames of a level show a displaced picture."""
+    if level.shift is None:
+        return
+    shift, error = level.shift
+    if np.any((np.abs(shift) > MOVED[0] * error) & (np.abs(shift) > MOVED[1])):
+        raise BadData(
+            f"{level.names[0]} and {level.names[1]} are displaced by {np.hypot(*shift):.2f} pixel: the "
+            "tripod or the target moved; shoot the pairs again on a firm tripod, with a remote release"
+        )
+
+
+class _Response:
+    """The response of pixels from all levels below saturation, in two halves of the frames."""
+
+    def __init__(self, dark_halves, period, letters):
+        self._darks, self._period, self._letters = dark_halves, period, letters
+        self._sums = [np.zeros(dark_halves[0].shape, np.float32) for _ in dark_halves]
+        self._weights = np.zeros(math.prod(period))
+
+    def add(self, stack, level, black, limits):
+        """Add the frames of a level; channels that are clipped, or above the limits [DN], do not count."""
+        if stack.count < 2:
+            return
+        for index, place in enumerate(stack.places()):
+            letter = self._letters[index]
+            point = level.points[letter]
+            signal = point.mean - black
+            is_weak = not signal > 3 * math.sqrt(max(point.variance, 1e-9))
+            if letter in level.clipped or is_weak or point.brightest - black > limits[index]:
+                continue
+            weight = signal**2 / max(point.variance, 1e-9) * stack.count
+            for total, half, dark in zip(self._sums, stack.halves, self._darks, strict=True):
+                part = half[place] - dark[place]
+                total[place] += part * np.float32(weight / part.mean(dtype=np.float64))
+            self._weights[index] += weight
+
+    def finish(self, good):
+        """Return the pattern of the response, the share of dead pixels, and good pixels."""
+        if not (self._weights > 0).all():
+            return None, share_range(0, good.size), good
+        for total in self._sums:
+            for (row, col), weight in zip(np.ndindex(*self._period), self._weights, strict=True):
+                total[row :: self._period[0], col :: self._period[1]] /= np.float32(weight)
+        mean = (self._sums[0] + self._sums[1]) / 2
+        dead = (mean < DEAD) & good
+        everywhere = np.ones(good.shape, bool)
+        flat = _flatten(mean, everywhere & ~dead, self._period)
+        for total in self._sums:
+            total /= flat
+        mean /= flat
+        bad = outliers(mean, good & ~dead, self._period)
+        good = good & ~dead & ~bad
+        pattern = split_pattern(*self._sums, good, self._period, DEGREE)
+        return pattern, share_range(int(np.count_nonzero(dead)), good.size), good
+
+
+def _flatten(mean, good, period):
+    """Return the smooth surface of each place of the period, shape (rows, cols)."""
+    from gpusim.fit.patterns import trend
+
+    smooth = np.ones_like(mean)
+    rows, cols = period
+    for row in range(rows):
+        for col in range(cols):
+            place = slice(row, None, rows), slice(col, None, cols)
+            degree = min(DEGREE, min(mean[place].shape) // 4)
+            smooth[place] = trend(mean[place], good[place], degree)
+    return np.maximum(smooth, np.float32(0.05))
+
+
+def line_of_reads(fits: Sequence[IsoFit]) -> tuple[Range, Range, float] | None:
+    """Separate the noise before the gain from that of the converter, over ISO speeds.
+
+    read_total^2 = read^2 + adc^2 / gain^2 is a line over 1 / gain^2.
+
+    Args:
+        fits: Fits of two ISO speeds or more.
+
+    Returns:
+        Read noise [e-], converter noise [DN], and the chance of the residuals; None with one speed.
+    """
+    from gpusim.fit.intervals import fit_line
+
+    if len(fits) < 2:
+        return None
+    x = np.array([1 / fit.gain**2 for fit in fits])
+    y, errors = [], []
+    for fit in fits:
+        value, low, high = fit.transfer.read
+        y.append(value**2)
+        errors.append(max((high**2 - low**2) / 3.92, 1e-9))
+    line = fit_line(x, np.array(y), np.square(errors))
+    deviations = np.sqrt(np.diag(line.covariance))
+    read = root_of(normal_range(line.offset, deviations[0]))
+    adc = root_of(normal_range(line.slope, deviations[1]))
+    return read, adc, line.chance
+
+
+def mean_squares(level: Level) -> tuple[MeanSquare | None, MeanSquare | None]:
+    """Return the mean squares of rows and columns of a level."""
+    return level.row_square, level.column_square
+
+
+def chance_of_channels(transfer: Transfer) -> float:
+    """Return the probability of gains of channels that differ as much if they are equal."""
+    if len(transfer.by_channel) < 2:
+        return 1.0
+    slopes = np.array([line.slope for line in transfer.by_channel.values()])
+    errors = np.array([math.sqrt(line.covariance[1, 1]) for line in transfer.by_channel.values()])
+    mean = float(np.sum(slopes / errors**2) / np.sum(1 / errors**2))
+    chances = [chance_of_normal(z) for z in (slopes - mean) / errors]
+    return min(1.0, len(chances) * min(chances))
