@@ -72,6 +72,8 @@ _NAMES = {
     "domain.sensor": ("Sensor",),
     "domain.spectrum": ("Spectrum",),
     "domain.view_images": ("ViewImages",),
+    "fit.estimate": ("Estimate",),
+    "fit.fitting": ("Fit", "fit"),
     "io.camera.calibration": ("read_calibration",),
     "io.camera.cameras": ("open_camera", "camera_names"),
     "io.camera.emva1288": ("sensor_from_emva1288",),

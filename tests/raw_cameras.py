@@ -20,7 +20,18 @@ MOSAICS = (
 )
 DARK_TIMES = (0.001, 1.0, 4.0)  # [s]
 DARK_COUNTS = (12, 4, 4)
-LEVELS = (0.04, 0.08, 0.14, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)  # of saturation, of the brightest channel
+LEVELS = (
+    0.04,
+    0.08,
+    0.14,
+    0.2,
+    0.3,
+    0.4,
+    0.5,
+    0.6,
+    0.7,
+    0.8,
+)  # of saturation, of the brightest channel
 BEYOND = 4.0
 
 
@@ -148,7 +159,9 @@ def expose(camera, maps, iso, seconds, electrons, rng, number=0):
     if camera.blur:
         read = (read + camera.blur * np.roll(read, 1, axis=1)) / math.hypot(1, camera.blur)
     signal += camera.read * read + maps["offset"]
-    signal += camera.row * rng.standard_normal((rows, 1)) + camera.column * rng.standard_normal(cols)
+    signal += camera.row * rng.standard_normal((rows, 1)) + camera.column * rng.standard_normal(
+        cols
+    )
     if camera.banding:
         phase = rng.uniform(0, 2 * np.pi)
         signal += camera.banding * np.sin(2 * np.pi * np.arange(rows) / 9.7 + phase)[:, None]
@@ -170,7 +183,10 @@ def shoot(camera, folder, take=0):
                 number += 1
         full, _ = camera.saturation(iso)
         rate = full / 0.1  # [e-/s]; saturation after a tenth of a second
-        for level in (*LEVELS, BEYOND / min(camera.efficiency.values()) * max(camera.efficiency.values())):
+        for level in (
+            *LEVELS,
+            BEYOND / min(camera.efficiency.values()) * max(camera.efficiency.values()),
+        ):
             seconds = round(level * 0.1, 6)
             for _ in range(2):
                 frame = expose(camera, maps, iso, seconds, rate * seconds, rng, 0)

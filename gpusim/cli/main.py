@@ -19,6 +19,7 @@ _PLACES = {
     "video": ("video", "VideoRequest", "video", "TEXTS"),
     "pairs": ("pairs", "PairsRequest", "pairs", "TEXTS"),
     "preview": ("preview", "PreviewRequest", "preview", "TEXTS"),
+    "fit": ("fit", "FitRequest", "fit", "TEXTS"),
     "refocus": ("refocus", "RefocusRequest", "refocus", "TEXTS"),
     "train-l3": ("train_l3", "TrainRequest", "train_l3", "TEXTS"),
     "train-network": ("train_network", "TrainNetworkRequest", "train_network", "TEXTS"),

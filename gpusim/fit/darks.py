@@ -60,7 +60,15 @@ def fit_dark_line(levels: Sequence[Level], line_error: float) -> DarkLine:
         weights = shortest / variances
         black = float(weights @ means / weights.sum())
         return DarkLine(
-            black, float(1 / weights.sum()), {}, times, means, np.sqrt(variances), degrees, 1.0, False
+            black,
+            float(1 / weights.sum()),
+            {},
+            times,
+            means,
+            np.sqrt(variances),
+            degrees,
+            1.0,
+            False,
         )
     named = list(by_degree)
     design = np.column_stack(
@@ -80,8 +88,15 @@ def fit_dark_line(levels: Sequence[Level], line_error: float) -> DarkLine:
     }
     chance = chance_of(squares, len(means) - len(found))
     return DarkLine(
-        float(found[0]), float(covariance[0, 0]), rates, times, means, np.sqrt(variances),
-        degrees, chance, True,
+        float(found[0]),
+        float(covariance[0, 0]),
+        rates,
+        times,
+        means,
+        np.sqrt(variances),
+        degrees,
+        chance,
+        True,
     )
 
 

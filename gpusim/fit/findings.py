@@ -10,7 +10,7 @@ from gpusim.fit.intervals import chance_of, chance_of_normal
 from gpusim.fit.levels import Level
 from gpusim.fit.stack import LAGS
 
-ALARM = 1e-3  # rate of false alarms of each test
+ALARM = 3e-4  # rate of false alarms of each test
 LINE_LAGS = 8
 TAIL_PIXELS = 200_000
 
@@ -39,7 +39,9 @@ def neighbour_findings(level: Level, where: str) -> list[Finding]:
         rows, cols = level.shape
         expected = -1 / cols * (down == 0) - 1 / rows * (right == 0)
         chance = chance_of_normal((mean - expected) * math.sqrt(number)) * len(LAGS)
-        words = f"pixels {down} rows and {right} columns apart are correlated in {where}: {mean:+.4f}"
+        words = (
+            f"pixels {down} rows and {right} columns apart are correlated in {where}: {mean:+.4f}"
+        )
         found.append(Finding(words, min(chance, 1.0)))
     return found
 

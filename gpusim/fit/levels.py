@@ -115,7 +115,12 @@ def level_of(group: Sequence[Summary], stack: FrameStack, good: np.ndarray) -> L
         variance = float(np.sum(weights * values) / weights.sum())
         spread = float(np.sum((weights / weights.sum()) ** 2 * relative)) * variance**2
         number = sum(np.count_nonzero(good[place]) for place in places) * stack.count
-        sample = np.concatenate([stack.mean[place][good[place]][:: 1 if stack.mean.size < 4_000_000 else STRIDE] for place in places])
+        sample = np.concatenate(
+            [
+                stack.mean[place][good[place]][:: 1 if stack.mean.size < 4_000_000 else STRIDE]
+                for place in places
+            ]
+        )
         middle, brightest = np.quantile(sample, (0.5, 0.999)) if len(sample) else (0.0, 0.0)
         mean = float(np.mean(means))
         points[letter] = Point(

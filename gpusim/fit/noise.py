@@ -178,9 +178,7 @@ def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
     black = _black_range(dark_line, offsets, good.shape, deviation, is_whole)
     tails = None
     if stack.count >= 4 and temporal > FINE**2:
-        tails = find_tails(
-            stack.residual[good], math.sqrt(pixel.value), float(is_whole)
-        )
+        tails = find_tails(stack.residual[good], math.sqrt(pixel.value), float(is_whole))
     dark_map, halves = stack.mean, stack.halves
     drift = find_drift(levels[0], line_error)
     restless_share = share_range(int(np.count_nonzero(restless)), good.size)

@@ -20,9 +20,7 @@ from gpusim.fit.rounding import before_rounding
 
 COLLAPSED = 0.6  # part of the expected variance below which a level is saturated
 CLIPPED = 1e-3  # share of pixels at the largest value of all frames
-SHOOT_FLATS = (
-    "shoot pairs of evenly lit frames from a tenth to nine tenths of saturation, and one pair beyond it"
-)
+SHOOT_FLATS = "shoot pairs of evenly lit frames from a tenth to nine tenths of saturation, and one pair beyond it"
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +97,9 @@ def find_clipping(flats: Sequence[Level], darks: Sequence[Level], white: float |
             point = level.points[letter]
             is_at_top = level.highest == top and level.at_highest > CLIPPED
             share = 1.0 if len(letters) == 1 else 1 / 16  # of the pixels that are a channel's
-            is_top = is_at_top and point.brightest > top - 0.5 and level.at_highest > CLIPPED * share
+            is_top = (
+                is_at_top and point.brightest > top - 0.5 and level.at_highest > CLIPPED * share
+            )
             collapsed = best > 0 and slope < COLLAPSED * best
             if is_top or collapsed:
                 level.clipped.add(letter)
@@ -189,7 +189,9 @@ def fit_transfer(
     if len(used) >= 4:
         coefficients, covariance, _ = fit_polynomial(signal, variance, errors**2, 2)
         curvature = float(coefficients[2]), math.sqrt(covariance[2, 2])
-    saturation, is_converter, white = _saturation(flats, math.sqrt(max(_dark_variance(darks) + lines + spread, 0.0)))
+    saturation, is_converter, white = _saturation(
+        flats, math.sqrt(max(_dark_variance(darks) + lines + spread, 0.0))
+    )
     return Transfer(
         line,
         _channel_lines(signal, variance, errors, letters),
@@ -312,7 +314,8 @@ def fit_linearity(flats: Sequence[Level], black: float, line_error: float) -> Li
         y = np.array([point.mean - black for _, point, _ in points])
         errors = np.sqrt(
             [
-                point.mean_variance + (line_error + flicker * (point.mean - black) ** 2) / level.count
+                point.mean_variance
+                + (line_error + flicker * (point.mean - black) ** 2) / level.count
                 for _, point, level in points
             ]
         )
@@ -331,8 +334,14 @@ def fit_linearity(flats: Sequence[Level], black: float, line_error: float) -> Li
     worst = max(bends, key=lambda one: abs(one[0]))
     x, y, fitted, errors, letters = zip(*rows, strict=True)
     return Linearity(
-        np.array(x), np.array(y), np.array(fitted), np.array(errors), list(letters),
-        normal_range(100 * worst[0], 100 * worst[1]), chance, unit,
+        np.array(x),
+        np.array(y),
+        np.array(fitted),
+        np.array(errors),
+        list(letters),
+        normal_range(100 * worst[0], 100 * worst[1]),
+        chance,
+        unit,
     )
 
 

@@ -1,0 +1,338 @@
+"""A camera from its own raw files: dark frames, flats, charts, edges, grids, ramps."""
+
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gpusim.domain.camera import Camera
+from gpusim.domain.errors import BadData, BadFile, format_value
+from gpusim.domain.short_repr import short_repr
+from gpusim.fit.camera_text import camera_text
+from gpusim.fit.estimate import Estimate, Part
+from gpusim.fit.noise import IsoFit, fit_isos
+from gpusim.fit.noise_part import noise_part
+from gpusim.fit.parts import part_functions
+from gpusim.fit.shots import KINDS, Known, Shot
+from gpusim.fit.sorting import Summary, check_same_camera, name_kinds, summarise
+from gpusim.io.atomic import atomic_path, check_output
+from gpusim.io.camera.cameras import camera_of, camera_table, open_camera, override_keys
+from gpusim.io.raw.raw_arrays import ARRAYS
+from gpusim.io.raw.raw_files import count_frames
+
+Paths = str | os.PathLike | Iterable[str | os.PathLike]
+FOLDERS = {  # names of folders whose frames are of one kind
+    **{name: "dark" for name in ("dark", "darks", "bias")},
+    **{name: "flat" for name in ("flat", "flats")},
+    **{name: "chart" for name in ("chart", "charts")},
+    **{name: "edges" for name in ("edge", "edges")},
+    **{name: "grid" for name in ("grid", "grids")},
+    "shading": "shading",
+    **{name: "ramp" for name in ("ramp", "ramps")},
+}
+RAW_SUFFIXES = frozenset(
+    (
+        *ARRAYS,
+        *(".dng", ".cr2", ".cr3", ".crw", ".nef", ".nrw", ".arw", ".srf", ".sr2", ".raf", ".rw2"),
+        *(".orf", ".pef", ".srw", ".x3f", ".rwl", ".3fr", ".fff", ".iiq", ".mos", ".mrw", ".erf"),
+        *(".kdc", ".dcr", ".raw", ".mef", ".gpr"),
+    )
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A camera from its own raw files.
+
+    Args:
+        parts: What each kind of shots gave.
+        base: Name or file of the camera whose values stand for what is unknown.
+        name: Make and model that the files state, or None.
+        lines: Lines about the shots: how many of each kind, and which were not used.
+        noise: The noise by ISO speed; empty without dark frames and flats.
+    """
+
+    parts: tuple[Part, ...]
+    base: str
+    name: str | None = None
+    lines: tuple[str, ...] = ()
+    noise: tuple[IsoFit, ...] = field(default=(), repr=False)
+
+    __repr__ = short_repr
+
+    @property
+    def estimates(self) -> dict[str, Estimate]:
+        """All estimates by camera key."""
+        return {key: one for part in self.parts for key, one in part.estimates.items()}
+
+    @property
+    def unexplained(self) -> tuple[str, ...]:
+        """Lines: what the model does not explain."""
+        return tuple(chain.from_iterable(part.unexplained for part in self.parts))
+
+    @property
+    def unknown(self) -> tuple[str, ...]:
+        """Lines: what the shots cannot tell, and what to shoot instead."""
+        return tuple(chain.from_iterable(part.unknown for part in self.parts))
+
+    @property
+    def settings(self) -> dict[str, dict[str, Any]]:
+        """Values of the camera file by section and key."""
+        found: dict[str, dict[str, Any]] = {}
+        for part in self.parts:
+            for section, keys in part.settings.items():
+                found.setdefault(section, {}).update(keys)
+        return found
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The camera: what was measured, and the base's values for the rest."""
+        path, table = camera_table(self.base)
+        merged = override_keys(table, {**self.settings, "name": self.name or "fitted"})
+        return camera_of(path, merged)
+
+    def write(
+        self, path: str | os.PathLike, page: str | os.PathLike | None = None, maps: bool = False
+    ) -> list[Path]:
+        """Write the camera file, its page, and maps.
+
+        Args:
+            path: Camera file, .toml.
+            page: Page with fits and residuals, .html; None: next to the camera file.
+            maps: Also write maps of DSNU and PRNU next to it, as .maps.npz.
+
+        Returns:
+            The files.
+
+        Raises:
+            BadFile: A file cannot be written.
+            Missing: Matplotlib is not installed.
+        """
+        from gpusim.fit.page import fit_page
+
+        path = Path(path)
+        if path.suffix.lower() != ".toml":
+            raise BadFile(path, "wanted the name of a camera file, .toml")
+        page = Path(page) if page is not None else path.with_suffix(".html")
+        check_output(path)
+        check_output(page)
+        files = [path, page]
+        text, written = camera_text(self, path), fit_page(self, path.name)
+        if maps:
+            files.append(self._write_maps(path))
+        for file, words in ((page, written), (path, text)):
+            with atomic_path(file) as temporary:
+                temporary.write_text(words, "utf-8")
+        return files
+
+    def _write_maps(self, path):
+        """Write maps of the fixed patterns."""
+        from gpusim.io.archive import write_archive
+
+        if not self.noise:
+            raise BadData("maps: no dark frames and flats; leave it out")
+        arrays = {}
+        for one in self.noise:
+            end = f"_iso_{one.iso:g}" if len(self.noise) > 1 else ""
+            arrays[f"good{end}"] = one.good.astype(np.uint8)
+            if one.offsets is not None:
+                arrays[f"dsnu_e{end}"] = one.offsets.values / np.float32(one.gain)
+            if one.response is not None:
+                arrays[f"prnu{end}"] = one.response.values
+        file = path.with_suffix(".maps.npz")
+        write_archive(file, arrays)
+        return file
+
+
+def fit(
+    files: Paths = (),
+    *,
+    darks: Paths = (),
+    flats: Paths = (),
+    chart: Paths = (),
+    edges: Paths = (),
+    grid: Paths = (),
+    shading: Paths = (),
+    ramp: Paths = (),
+    base: str | os.PathLike | None = None,
+    cfa: str | Sequence[str] | None = None,
+    options: Mapping[str, Any] | None = None,
+) -> Fit:
+    """Fit a camera to its own raw files.
+
+    What is there decides what is fitted; `Fit.unknown` names the rest. Every estimate has an
+    interval of 95 % confidence; `Fit.unexplained` says what the model does not explain.
+
+    Args:
+        files: Raw files or folders. A folder's name (darks, flats, chart, edges, grid, shading,
+            ramp) says what its frames show; of other files the content does: dark, or even light.
+        darks: Frames without light, at one or more exposure times and temperatures.
+        flats: Pairs, or more frames, of even light without a lens, from dark to beyond saturation.
+        chart: Frames of a ColorChecker.
+        edges: Frames of slanted edges.
+        grid: Frames of a grid of dots or a checkerboard.
+        shading: Frames of even light through the lens.
+        ramp: Frames of steps of light, also as JPEGs.
+        base: Camera whose values stand for what is unknown, a name or a file; None: "mono" for one
+            channel, otherwise "phone".
+        cfa: Mosaic of files that do not state it: a name, or rows of letters.
+        options: Options of the parts by name, such as the light of a chart.
+
+    Returns:
+        The fit.
+
+    Raises:
+        BadData: Frames are missing, mixed, clipped or moved.
+        BadFile: A file cannot be read, or is no raw file.
+        UnknownName: There is no such base or mosaic.
+    """
+    settings = {"cfa": cfa} if cfa is not None else {}
+    given = {
+        "": files, "dark": darks, "flat": flats, "chart": chart, "edges": edges, "grid": grid,
+        "shading": shading, "ramp": ramp,
+    }  # fmt: skip
+    shots = [shot for kind, paths in given.items() for shot in _find_shots(paths, kind, settings)]
+    if not shots:
+        raise BadData("no raw files: wanted dark frames and flats, or shots of charts")
+    plain = [shot for shot in shots if shot.kind != "ramp"]
+    summaries = name_kinds(_summaries(plain))
+    by_kind: dict[str, list[Summary]] = {}
+    for one in summaries:
+        by_kind.setdefault(one.shot.kind, []).append(one)
+    first = summaries[0].frame if summaries else None
+    base = os.fspath(base) if base is not None else _base_for(first)
+    camera = open_camera(base)
+    _check_letters(camera, first)
+    parts, fits = [], []
+    if by_kind.get("dark") or by_kind.get("flat"):
+        darks_, flats_ = by_kind.get("dark", []), by_kind.get("flat", [])
+        fits = fit_isos(darks_, flats_)
+        parts.append(_fit_to_base(noise_part(fits, darks_ + flats_), camera))
+    else:
+        parts.append(Part("noise", unknown=("noise: no dark frames and flats",)))
+    known = _known(camera, first, fits, options or {})
+    for kind in KINDS[2:]:
+        chosen = [shot for shot in shots if shot.kind == kind]
+        if chosen:
+            parts += _other_parts(kind, chosen, known)
+    others = by_kind.get("other", [])
+    if others:
+        parts.append(Part("other shots", unknown=(_other_line(others),)))
+    counts = [f"{len(found)} of {kind}" for kind, found in by_kind.items()]
+    lines = (f"frames: {', '.join(counts)}", *_notes(summaries))
+    name = next((one.frame.camera for one in summaries if one.frame.camera), None)
+    return Fit(tuple(parts), base, name, lines, tuple(fits))
+
+
+def _summaries(shots):
+    summaries = summarise(shots)
+    if summaries:
+        check_same_camera(summaries)
+    return summaries
+
+
+def _find_shots(paths, kind, settings):
+    """Return the shots of files and folders, in the order of their names."""
+    found = []
+    for path in [paths] if isinstance(paths, str | os.PathLike) else _listed(paths):
+        if not isinstance(path, str | os.PathLike):
+            raise BadFile(format_value(path), f"{type(path).__name__}, wanted a file's path")
+        path = Path(path)
+        if path.is_dir():
+            inside = sorted(one for one in path.rglob("*") if one.is_file())
+            inside = [one for one in inside if one.suffix.lower() in RAW_SUFFIXES]
+            if not inside:
+                raise BadFile(path, "no raw files in this folder")
+            found += [(one, kind or _folder_kind(one)) for one in inside]
+        else:
+            found.append((path, kind or _folder_kind(path)))
+    return [
+        Shot(path, index, kind, settings)
+        for path, kind in found
+        for index in range(1 if kind == "ramp" else count_frames(path))
+    ]
+
+
+def _listed(paths):
+    try:
+        return list(paths)
+    except TypeError:
+        why = f"{format_value(paths)}: wanted paths of raw files"
+        raise BadData(why) from None
+
+
+def _folder_kind(path):
+    return FOLDERS.get(path.absolute().parent.name.lower(), "")
+
+
+def _base_for(frame):
+    return "mono" if frame is not None and len(frame.channels) == 1 else "phone"
+
+
+def _check_letters(camera, frame):
+    """Raise BadData unless the base has a curve for each filter of the mosaic."""
+    if frame is None or len(frame.channels) == 1:
+        return
+    filters = camera.sensor.filters
+    known = camera.sensor.channels
+    missing = filters.missing(frame.channels) if filters else {*frame.channels} - {*known}
+    if missing:
+        raise BadData(
+            f"base {camera.name!r} has no curve for the filters {', '.join(sorted(missing))} of the mosaic "
+            f"{list(frame.cfa)}; give a base with them, --base my.toml"
+        )
+
+
+def _fit_to_base(part, camera):
+    """Return the noise's part with the base's own letter for one channel."""
+    sensor = dict(part.settings["sensor"])
+    if len("".join(sensor["cfa"])) == 1 and camera.sensor.is_monochrome:
+        sensor["cfa"] = list(camera.sensor.cfa)
+    if tuple(sensor["cfa"]) == camera.sensor.cfa:
+        del sensor["cfa"]
+    return replace(part, settings={**part.settings, "sensor": sensor})
+
+
+def _known(camera, frame, fits, options):
+    """Return what the other parts may take as known."""
+    black, white = np.zeros((1, 1)), 65535.0
+    cfa = frame.cfa if frame is not None else camera.sensor.cfa
+    if frame is not None:
+        black = frame.black_level if frame.black_level is not None else black
+        white = frame.white_level or white
+    if fits:
+        black = np.full((1, 1), fits[0].black.value)
+        white = fits[0].transfer.white or white
+    gains = {fit.iso: fit.gain for fit in fits}
+    return Known(camera, cfa, black, white, gains, options)
+
+
+def _other_parts(kind, shots, known):
+    functions = part_functions(kind)
+    if not functions:
+        line = f"{kind}: {len(shots)} shots are not used: nothing is fitted to them"
+        return [Part(kind, unknown=(line,))]
+    return [function(shots, known) for function in functions]
+
+
+def _other_line(others):
+    names = ", ".join(one.frame.name for one in others[:3])
+    more = f" and {len(others) - 3} more" if len(others) > 3 else ""
+    return (
+        f"{names}{more}: neither dark nor evenly lit, not used; say what they show: --chart, --edges, "
+        "--grid, --shading or --ramp"
+    )
+
+
+def _notes(summaries):
+    """Return each note of a reader once, with the number of its frames."""
+    notes: dict[str, int] = {}
+    for one in summaries:
+        for note in one.frame.notes:
+            notes[note] = notes.get(note, 0) + 1
+    return tuple(f"{note} ({count} frames)" for note, count in notes.items())
