@@ -121,9 +121,9 @@ def draw_camera(seed):
     )
 
 
-def draw_maps(camera):
-    """The chip's fixed patterns."""
-    rng = np.random.default_rng([camera.seed, 43])
+def draw_maps(camera, chip=0):
+    """The fixed patterns of one of the camera's chips."""
+    rng = np.random.default_rng([camera.seed, 43, chip])
     rows, cols = camera.shape
 
     def parts(pixel, row, column):
@@ -170,27 +170,31 @@ def expose(camera, maps, iso, seconds, electrons, rng, number=0):
     return np.clip(np.rint(level), 0, camera.white).astype(np.uint16)
 
 
-def shoot(camera, folder, take=0):
+def shoot(camera, folder, chip=0):
     """Write a series of frames as .npz: darks of three exposure times, pairs of flats, saturated ones."""
-    rng = np.random.default_rng([camera.seed, 44, take])
-    maps = draw_maps(camera)
+    rng = np.random.default_rng([camera.seed, 44, chip])
+    maps = draw_maps(camera, chip)
+    for name in ("darks", "flats"):
+        (folder / name).mkdir(parents=True, exist_ok=True)
+    spread = max(camera.efficiency.values()) / min(camera.efficiency.values())
     for iso in camera.gains:
         number = 0
         for seconds, count in zip(DARK_TIMES, DARK_COUNTS, strict=True):
             for _ in range(count):
                 frame = expose(camera, maps, iso, seconds, 0.0, rng, number)
-                _write(camera, folder / f"dark_{iso}_{number:02d}.npz", frame, iso, seconds)
+                _write(
+                    camera, folder / "darks" / f"dark_{iso}_{number:02d}.npz", frame, iso, seconds
+                )
                 number += 1
         full, _ = camera.saturation(iso)
         rate = full / 0.1  # [e-/s]; saturation after a tenth of a second
-        for level in (
-            *LEVELS,
-            BEYOND / min(camera.efficiency.values()) * max(camera.efficiency.values()),
-        ):
+        for level in (*LEVELS, BEYOND * spread):
             seconds = round(level * 0.1, 6)
             for _ in range(2):
-                frame = expose(camera, maps, iso, seconds, rate * seconds, rng, 0)
-                _write(camera, folder / f"flat_{iso}_{number:02d}.npz", frame, iso, seconds)
+                frame = expose(camera, maps, iso, seconds, rate * seconds, rng)
+                _write(
+                    camera, folder / "flats" / f"flat_{iso}_{number:02d}.npz", frame, iso, seconds
+                )
                 number += 1
 
 

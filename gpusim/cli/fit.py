@@ -13,10 +13,6 @@ TEXTS = {
 }
 
 
-def _files(words):
-    return option(default=(), nargs="+", metavar="FILE", help=words)
-
-
 @dataclass(frozen=True, kw_only=True)
 class FitRequest(Options):
     """Options of `gpusim fit`."""
@@ -28,13 +24,33 @@ class FitRequest(Options):
         metavar="FILES",
         help="raw files (.dng and others, .npz, .npy, .tif) or folders; give them before the options",
     )
-    darks: list[str] | tuple = _files("frames without light, of one or more exposure times")
-    flats: list[str] | tuple = _files("pairs of evenly lit frames, from dark to beyond saturation")
-    chart: list[str] | tuple = _files("frames of a ColorChecker")
-    edges: list[str] | tuple = _files("frames of slanted edges")
-    grid: list[str] | tuple = _files("frames of a grid of dots or a checkerboard")
-    shading: list[str] | tuple = _files("evenly lit frames through the lens")
-    ramp: list[str] | tuple = _files("frames of steps of light, also as JPEGs")
+    darks: list[str] | tuple = option(
+        default=(),
+        nargs="+",
+        metavar="FILE",
+        help="frames without light, of one or more exposure times",
+    )
+    flats: list[str] | tuple = option(
+        default=(),
+        nargs="+",
+        metavar="FILE",
+        help="pairs of evenly lit frames, from dark to beyond saturation",
+    )
+    chart: list[str] | tuple = option(
+        default=(), nargs="+", metavar="FILE", help="frames of a ColorChecker"
+    )
+    edges: list[str] | tuple = option(
+        default=(), nargs="+", metavar="FILE", help="frames of slanted edges"
+    )
+    grid: list[str] | tuple = option(
+        default=(), nargs="+", metavar="FILE", help="frames of a grid of dots or a checkerboard"
+    )
+    shading: list[str] | tuple = option(
+        default=(), nargs="+", metavar="FILE", help="evenly lit frames through the lens"
+    )
+    ramp: list[str] | tuple = option(
+        default=(), nargs="+", metavar="FILE", help="frames of steps of light, also as JPEGs"
+    )
     out: str = option("-o", "--out", metavar="MINE.toml", required=True, help="the camera file")
     page: str | None = option(
         metavar="FILE.html", help="the page (default: next to the camera file)"

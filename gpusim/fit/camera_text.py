@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 WIDTH = 118
 SECTIONS = ("optics", "sensor", "noise", "processor", "display")
-MOST_NAMES = 4
+MOST_NAMES = 2
 
 
 def camera_text(fit: "Fit", path: Path) -> str:
@@ -67,9 +67,11 @@ def words(one: Estimate) -> str:
 
 
 def names_of(one: Estimate) -> str:
-    """Return the first names of an estimate's files."""
-    more = len(one.sources) - MOST_NAMES
-    return ", ".join(one.sources[:MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+    """Return the files of an estimate: all of them, or the first and the last."""
+    names = sorted(one.sources)
+    if len(names) <= MOST_NAMES:
+        return ", ".join(names)
+    return f"{names[0]} .. {names[-1]}, {len(names)} frames"
 
 
 def _key_lines(section, key, value, estimates):

@@ -140,7 +140,8 @@ def fit_polynomial(x, y, variance, degree: int):
     """Return the coefficients of a weighted polynomial, their covariance, and chi-square.
 
     Args:
-        x, y: Points, shape (n,).
+        x: Points, shape (n,).
+        y: Their values, shape (n,).
         variance: Of each y, shape (n,).
         degree: Of the polynomial.
 

@@ -206,7 +206,7 @@ def _settings(fits, estimates, summaries):
     speed = f" at ISO {fit.iso:g}" if fit.iso is not None and len(fits) > 1 else ""
     for key in noise:
         found = estimates.get(f"noise.{key}") or estimates.get(f"noise.{key}{speed}")
-        if found is not None and found.low > 0 or (found is not None and key == "read_e"):
+        if found is not None and (found.low > 0 or key == "read_e"):
             noise[key] = max(found.value, 0.0)
     if noise["hot_pixels"]:
         noise["hot_current_e_per_s"] = fit.hot.scale.value / fit.gain

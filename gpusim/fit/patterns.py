@@ -36,8 +36,8 @@ def split_pattern(first, second, good, period, degree: int = 0) -> Pattern:
     of the mosaic's places are removed, or polynomials if the light is uneven.
 
     Args:
-        first, second: Maps of the same pixels from different frames, shape (rows, cols). They are
-            overwritten.
+        first: A map of the pixels, shape (rows, cols); it is overwritten.
+        second: One of the same pixels from other frames.
         good: Pixels to count, shape (rows, cols).
         period: Rows and columns of the mosaic's period.
         degree: Of the polynomial that is removed from the pattern of each place of the period.

@@ -155,7 +155,10 @@ class FrameStack:
         return self.count - 1
 
     def variances(self) -> np.ndarray:
-        """Return, for each place of the period, temporal variance of pixels [DN^2], without what rows and columns have in common, and its variance."""
+        """Return temporal variances of pixels [DN^2] and their relative variances, for each place.
+
+        What rows and columns have in common is left out. Shape (places, 2).
+        """
         number, square, fourth = self._squares_of.T
         value = square / number
         kurtosis = np.clip(fourth / number / np.maximum(value, 1e-12) ** 2, 1.2, 20.0)
@@ -217,14 +220,16 @@ def _spectrum(white):
 def _shift(mean, residual, period):
     """Return the displacement [pixel] that explains a residual by the gradient of the mean frame.
 
-    Rows and columns, and their standard errors.
+    What rows and columns have in common is left out: row noise would look like a displacement. Returns
+    rows and columns, and their standard errors.
     """
     down, right = period
-    first = residual[down:-down, right:-right]
+    first = _without_lines(residual[down:-down, right:-right])
     slopes = [
         (mean[2 * down :, right:-right] - mean[: -2 * down, right:-right]) / (2 * down),
         (mean[down:-down, 2 * right :] - mean[down:-down, : -2 * right]) / (2 * right),
     ]
+    slopes = [_without_lines(one) for one in slopes]
     matrix = np.array([[np.mean(a * b, dtype=np.float64) for b in slopes] for a in slopes])
     right_side = np.array([np.mean(a * first, dtype=np.float64) for a in slopes])
     if not np.linalg.det(matrix) > 0:
@@ -232,3 +237,8 @@ def _shift(mean, residual, period):
     inverse = np.linalg.inv(matrix)
     variance = float(np.mean(first * first, dtype=np.float64)) / first.size
     return inverse @ right_side, np.sqrt(np.diag(inverse) * variance)
+
+
+def _without_lines(plane):
+    plane = plane - _rows(plane)[:, None]
+    return plane - _columns(plane)
