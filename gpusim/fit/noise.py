@@ -21,7 +21,7 @@ from gpusim.fit.intervals import (
 )
 from gpusim.fit.levels import Level, level_of, stack_group
 from gpusim.fit.patterns import DEGREE, Pattern, outliers, share_range, split_pattern
-from gpusim.fit.rounding import FINE, rounding_bias
+from gpusim.fit.rounding import rounding_bias
 from gpusim.fit.sorting import Summary, group_darks, group_flats
 from gpusim.fit.transfer import (
     SHOOT_FLATS,
@@ -177,7 +177,7 @@ def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
     deviation = math.sqrt(temporal + fixed)
     black = _black_range(dark_line, offsets, good.shape, deviation, is_whole)
     tails = None
-    if stack.count >= 4 and temporal > FINE**2:
+    if stack.count >= 4 and pixel.value > 1.0:  # rounding hides the shape of finer noise
         tails = find_tails(stack.residual[good], math.sqrt(pixel.value), float(is_whole))
     dark_map, halves = stack.mean, stack.halves
     drift = find_drift(levels[0], line_error)

@@ -1,6 +1,8 @@
 """Raw files in Adobe's DNG format."""
 
 import math
+import os
+import struct
 from fractions import Fraction
 
 import numpy as np
@@ -16,6 +18,7 @@ PLANES = (1, 3, 4)  # channels that colour matrices and other programs support
 # periods of mosaics that raw converters read; of others they take a part as the whole, and show stripes
 READABLE = ((2, 2), (6, 6))
 LARGEST = 2**31 - 1  # numerator or denominator
+EXIF = 34665  # code of the place of EXIF tags
 LINEAR_RAW = 34892  # DNG code of raw values without a colour filter array
 
 
@@ -52,6 +55,7 @@ def write_dng(
     channels="RGB",
     noise=None,
     camera_name="gpusim",
+    exposure_time=None,
 ):
     """Write raw values as a DNG (version 1.4, one uncompressed strip) without changing them.
 
@@ -63,7 +67,7 @@ def write_dng(
     color from XYZ to camera, shape (C, 3); forward from camera values relative to white to XYZ in
     D50, shape (3, C), or None. as_shot_neutral: camera values of white, shape (C,), largest about
     1. noise: (S, O) if x = (raw - black) / (white - black) has the variance S x + O; None is
-    unknown.
+    unknown. exposure_time: [s], None: not written.
 
     LibRaw, which many programs use, opens only pictures of 22 x 22 or more, and only mosaics of 2 x
     2 and X-Trans. Raises BadData, OutOfRange and BadFile. Source: Adobe, "Digital Negative (DNG)
@@ -106,6 +110,7 @@ def write_dng(
         tifffile.imwrite(
             temporary,
             raw,
+            byteorder="<",
             photometric="cfa" if cfa else "minisblack",
             rowsperstrip=len(raw),
             metadata=None,
@@ -117,6 +122,34 @@ def write_dng(
             # tifffile writes it for three samples only
             with tifffile.TiffFile(temporary, mode="r+b") as file:
                 file.pages[0].tags["PhotometricInterpretation"].overwrite(LINEAR_RAW)
+        if exposure_time:
+            _add_exif(temporary, min(exposure_time, LARGEST - 1))
+
+
+def _add_exif(path, exposure_time):
+    """Append EXIF tags with the exposure time [s], and a first directory that names their place.
+
+    tifffile does not write EXIF tags. The file is little-endian, and below 4 GiB.
+    """
+    with open(path, "r+b") as file:
+        first = struct.unpack("<2sHI", file.read(8))[2]
+        file.seek(first)
+        (count,) = struct.unpack("<H", file.read(2))
+        entries = [file.read(12) for _ in range(count)]
+        start = file.seek(0, os.SEEK_END)
+        start = file.seek(start + start % 2)
+        exif = struct.pack(
+            "<HHHIIHHI4sI",
+            *(2, 33434, 5, 1, start + 30),  # ExposureTime, a fraction
+            *(36864, 7, 4, b"0232", 0),  # ExifVersion
+        )
+        entries.append(struct.pack("<HHII", EXIF, 4, 1, start))
+        entries.sort(key=lambda entry: struct.unpack_from("<H", entry))
+        file.write(exif + struct.pack("<II", *_fractions([exposure_time])))
+        place = file.tell()
+        file.write(struct.pack("<H", len(entries)) + b"".join(entries) + struct.pack("<I", 0))
+        file.seek(4)
+        file.write(struct.pack("<I", place))
 
 
 def _levels(cfa, samples, black_level, white_level):

@@ -154,4 +154,5 @@ def _write_raw(path, frame):
         channels=sensor.channels,
         noise=noise,
         camera_name=f"gpusim {frame.camera.name}",
+        exposure_time=frame.exposure_time,
     )
