@@ -89,7 +89,7 @@ def _line_square(means, lost):
 def _pixel_square(plane, good, period, lost):
     """Return the mean square of pixels less their rows and columns; `plane` is overwritten."""
     rows, cols = period
-    total = freedom = 0.0
+    squares, numbers = [], []
     for row in range(rows):
         for col in range(cols):
             place = slice(row, None, rows), slice(col, None, cols)
@@ -98,10 +98,14 @@ def _pixel_square(plane, good, period, lost):
             part -= part.mean(axis=0, dtype=np.float32)
             height, width = part.shape
             number = np.count_nonzero(chosen)
-            total += float(np.sum(np.square(part[chosen]), dtype=np.float64))
+            squares.append(float(np.sum(np.square(part[chosen]), dtype=np.float64)))
             terms = (lost * (lost - 1)) // 2 - (lost - 1)  # mixed terms of the polynomial
-            freedom += max((height - 1) * (width - 1) - max(terms, 0), 1) * number / part.size
-    return MeanSquare(total / freedom, freedom)
+            freedom = max((height - 1) * (width - 1) - max(terms, 0), 1)
+            numbers.append(max(freedom * number / part.size, 1.0))
+    # places differ in their noise: Satterthwaite's degrees of freedom
+    total, number = sum(squares), sum(numbers)
+    spread = sum(square**2 / count for square, count in zip(squares, numbers, strict=True))
+    return MeanSquare(total / number, total**2 / spread if spread > 0 else number)
 
 
 def _remove_trend(plane, good, degree):

@@ -54,7 +54,8 @@ def covered(seeds, chips):
         camera = draw_camera(seed)
         for chip in range(chips):
             fit = fit_to(camera, chip)
-            alarms.append(fit.unexplained)
+            # that the darkest pixels reach 0 is true of some cameras at their highest speed
+            alarms.append([one for one in fit.unexplained if not one.startswith("dark pixels")])
             for key, value in truth(camera).items():
                 one = fit.estimates.get(key)
                 is_inside = one is not None and one.low <= value <= one.high
