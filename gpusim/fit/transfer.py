@@ -19,6 +19,7 @@ from gpusim.fit.levels import Level
 from gpusim.fit.rounding import before_rounding
 
 COLLAPSED = 0.6  # part of the expected variance below which a level is saturated
+SIGNIFICANT = 5.0  # standard errors of a gain that is one
 CLIPPED = 1e-3  # share of pixels at the largest value of all frames
 SHOOT_FLATS = "shoot pairs of evenly lit frames from a tenth to nine tenths of saturation, and one pair beyond it"
 
@@ -179,7 +180,7 @@ def fit_transfer(
         errors = np.sqrt(relative * total**2 + slope**2 * means)
         line = fit_line(signal, variance, errors**2)
         fitted = np.maximum(line.at(signal), 1e-6)
-    if not line.slope > 0:
+    if not line.slope > SIGNIFICANT * math.sqrt(line.covariance[1, 1]):
         raise BadData(
             f"the noise of the flats does not rise with their light ({used[0][1].names[0]}): they are "
             f"clipped, averaged or denoised; {SHOOT_FLATS}"

@@ -168,6 +168,17 @@ ROWS = {
         "port": (CHART, "--port 8089"),
         "host": (CHART, "--host 0.0.0.0"),
     },
+    "fit": {
+        **{
+            kind: ("a.dng -o out.toml", f"--{kind} b.dng c.dng")
+            for kind in ("darks", "flats", "chart", "edges", "grid", "shading", "ramp")
+        },
+        "out": ("a.dng -o out.toml", "-o other.toml"),
+        "page": ("a.dng -o out.toml", "--page page.html"),
+        "maps": ("a.dng -o out.toml", "--maps"),
+        "base": ("a.dng -o out.toml", "--base mono"),
+        "cfa": ("a.dng -o out.toml", "--cfa bayer-grbg"),
+    },
     "refocus": {
         "out": (f"{VIEWS} -o out.npy", "-o out.png"),
         "distance": (f"{VIEWS} -o out.npy", "--distance 0.3"),
@@ -406,6 +417,7 @@ def record(monkeypatch):
     import gpusim.bench.peers
     import gpusim.bench.scaling
     import gpusim.bench.suite
+    import gpusim.fit.fitting
     import gpusim.io.camera.learned
     import gpusim.io.camera.network
     import gpusim.judge.combinations
@@ -463,6 +475,15 @@ def record(monkeypatch):
         )
         yield row | {"point": "a", "words": said(camera, scene, scene.shape, device)}
 
+    def fitted(files, **settings):
+        def write(path, page, maps):
+            for one in (path, page or f"{path}.html"):
+                Path(one).write_text(said(maps))
+            return [path]
+
+        lines = [said(files, settings)]
+        return SimpleNamespace(lines=lines, estimates={}, unexplained=(), unknown=(), write=write)
+
     def network_trained(tiles, *, tell, **options):
         model = SimpleNamespace(export=lambda text: SimpleNamespace(count=0, provenance=text))
         return model, {"steps": f"{tiles} {options}"}
@@ -490,6 +511,7 @@ def record(monkeypatch):
         (gpusim.judge.verify, "verify_devices", verified_by_name),
         (gpusim.judge.hard, "hard", hard),
         (gpusim.judge.combinations, "combinations", combined),
+        (gpusim.fit.fitting, "fit", fitted),
         (gpusim.bench.suite, "measure", measured),
         (gpusim.bench.suite, "append_round", lambda stored, path, device: measured(device, [path])),
         (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),
