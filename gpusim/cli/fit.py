@@ -7,8 +7,8 @@ from gpusim.cli.options import CAMERA_HELP, Options, flag, option
 TEXTS = {
     "help": "fit a camera to its own raw files: noise, levels, colour, sharpness, with intervals",
     "description": (
-        "What the shots show is told by an option, by the name of their folder (darks, flats, chart, edges, grid, "
-        "shading, ramp), or else by their content. Needs rawpy and matplotlib: pip install 'gpusim[fit]'."
+        "The kind of shots comes from an option, from the name of their folder (darks, flats, chart, edges, grid, "
+        "shading, ramp), or else from their content. Needs rawpy and matplotlib: pip install 'gpusim[fit]'."
     ),
 }
 

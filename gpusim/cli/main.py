@@ -66,9 +66,9 @@ def main(argv: list[str] | None = None) -> int:
         argv: Arguments of the command line. None: those of the process.
 
     Returns:
-        The exit status: 0, 1 (a verification failed, a tolerance is not met or a row of a benchmark
-            is slower), 2 (wrong input, reported in one line), 3 (a tolerance that cannot be judged)
-            or 125 (a comparison of benchmarks that cannot be judged).
+        The exit status: 0, 1 (a verification failed, a tolerance is not met, a row of a benchmark is
+            slower, or a fit does not explain its frames), 2 (wrong input, reported in one line), 3 (a
+            tolerance that cannot be judged) or 125 (a comparison of benchmarks that cannot be judged).
     """
     argv = sys.argv[1:] if argv is None else argv
     if argv[:1] == ["bench"]:

@@ -122,7 +122,7 @@ class Drift:
 
 
 def find_drift(level: Level, line_error: float) -> Drift | None:
-    """Compare the means of dark frames with what noise explains; None for fewer than 3 frames."""
+    """Compare the means of dark frames with the noise; None for fewer than 3 frames."""
     if level.count < 3:
         return None
     means = level.frame_means.mean(axis=1)
@@ -192,7 +192,7 @@ class Hot:
 def find_hot(excess: np.ndarray, hot: np.ndarray, seconds: float) -> Hot | None:
     """Return the hot pixels' share and mean dark current; None if there are fewer than 5.
 
-    An exponential distribution has no memory: its mean is that of what exceeds any threshold.
+    An exponential distribution has no memory: the excess over any threshold has the same mean.
 
     Args:
         excess: Dark signal between two exposure times, less its median [DN].

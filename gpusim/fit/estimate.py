@@ -38,7 +38,7 @@ class Plot:
 
     Args:
         title: Its heading.
-        caption: What it shows, in a sentence or two.
+        caption: Its content, in a sentence or two.
         draw: Draws it on an empty figure of Matplotlib.
     """
 
@@ -57,8 +57,8 @@ class Part:
             are several.
         settings: Values for the camera file by section and key; arrays go to files next to it.
         plots: Figures of fits and residuals.
-        unexplained: Lines: what the model does not explain, with its size.
-        unknown: Lines: what these frames cannot tell, and what to shoot instead.
+        unexplained: Lines: findings outside the model, with their size.
+        unknown: Lines: numbers that these frames do not give, and shots that would.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Tests of what a noise model does not explain, each with a known rate of false alarms."""
+"""Tests for noise outside the model, each with a known rate of false alarms."""
 
 import math
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ class Finding:
     """Result of a test.
 
     Args:
-        words: What was found, with its size.
+        words: The finding, with its size.
         chance: Probability of as much or more if the model is right.
     """
 
@@ -124,7 +124,7 @@ class Tails:
     Args:
         name: "Gaussian", "Student" or "Tukey lambda".
         shape: Degrees of freedom of Student's, or lambda of Tukey's; None for a Gaussian.
-        gain: Akaike's criterion of the Gaussian less that of this one.
+        gain: Akaike's criterion of the Gaussian less this one's.
         values: Sample of standardised residuals.
         kurtosis: Excess kurtosis.
     """

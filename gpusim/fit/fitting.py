@@ -50,8 +50,8 @@ class Fit:
     """A camera from its own raw files.
 
     Args:
-        parts: What each kind of shots gave.
-        base: Name or file of the camera whose values stand for what is unknown.
+        parts: Results of each kind of shots.
+        base: Name or file of the camera whose values stand for unknown ones.
         name: Make and model that the files state, or None.
         lines: Lines about the shots: how many of each kind, and which were not used.
         noise: The noise by ISO speed; empty without dark frames and flats.
@@ -72,12 +72,12 @@ class Fit:
 
     @property
     def unexplained(self) -> tuple[str, ...]:
-        """Lines: what the model does not explain."""
+        """Lines: findings outside the model."""
         return tuple(chain.from_iterable(part.unexplained for part in self.parts))
 
     @property
     def unknown(self) -> tuple[str, ...]:
-        """Lines: what the shots cannot tell, and what to shoot instead."""
+        """Lines: numbers that the shots do not give, and shots that would."""
         return tuple(chain.from_iterable(part.unknown for part in self.parts))
 
     @property
@@ -91,7 +91,7 @@ class Fit:
 
     @cached_property
     def camera(self) -> Camera:
-        """The camera: what was measured, and the base's values for the rest."""
+        """The camera: measured values, and the base's for the rest."""
         path, table = camera_table(self.base)
         merged = override_keys(table, {**self.settings, "name": self.name or "fitted"})
         return camera_of(path, merged)
@@ -165,8 +165,8 @@ def fit(
 ) -> Fit:
     """Fit a camera to its own raw files.
 
-    What is there decides what is fitted; `Fit.unknown` names the rest. Every estimate has an
-    interval of 95 % confidence; `Fit.unexplained` says what the model does not explain.
+    The shots decide which parts are fitted; `Fit.unknown` names the rest. Every estimate has an
+    interval of 95 % confidence; `Fit.unexplained` lists findings outside the model.
 
     Args:
         files: Raw files or folders. A folder's name (darks, flats, chart, edges, grid, shading,
@@ -178,7 +178,7 @@ def fit(
         grid: Frames of a grid of dots or a checkerboard.
         shading: Frames of even light through the lens.
         ramp: Frames of steps of light, also as JPEGs.
-        base: Camera whose values stand for what is unknown, a name or a file; None: "mono" for one
+        base: Camera whose values stand for unknown ones, a name or a file; None: "mono" for one
             channel, otherwise "phone".
         cfa: Mosaic of files that do not state it: a name, or rows of letters.
         options: Options of the parts by name, such as the light of a chart.
@@ -299,7 +299,7 @@ def _fit_to_base(part, camera):
 
 
 def _known(camera, frame, fits, options):
-    """Return what the other parts may take as known."""
+    """Return the known numbers for the other parts."""
     black, white = np.zeros((1, 1)), 65535.0
     cfa = frame.cfa if frame is not None else camera.sensor.cfa
     if frame is not None:

@@ -78,12 +78,12 @@ def _reach(square):
 
 
 def root_of(variance: Range) -> Range:
-    """Return the standard deviation of a variance; 0 for what is below 0."""
+    """Return the standard deviation of a variance; 0 for negative ones."""
     return Range(*(math.sqrt(max(part, 0.0)) for part in variance))
 
 
 def widened(root: Range, relative: float) -> Range:
-    """Return a quotient's interval: that of a number, widened by a divisor's relative error.
+    """Return a quotient's interval: a number's, widened by a divisor's relative error.
 
     Args:
         root: Estimate and ends.

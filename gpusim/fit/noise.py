@@ -42,7 +42,7 @@ SHOOT_DARKS = "shoot 8 or more frames with the lens capped at the exposure times
 
 @dataclass
 class IsoFit:
-    """What the frames of one ISO speed tell.
+    """The noise of one ISO speed.
 
     Args:
         iso: ISO speed, None if the files do not say.
@@ -251,7 +251,7 @@ def _restless(stack, good):
 
 
 def _lines(stack, good):
-    """Return the temporal variance of rows and of columns, and that of pixels [DN^2]."""
+    """Return the temporal variances of rows, of columns and of pixels [DN^2]."""
     pixel = stack.pixel_square(good)
     rows, cols = stack.shape
     row = difference_of(stack.row_square(), pixel.scaled(1 / cols))
@@ -368,7 +368,7 @@ def _flatten(mean, good, period):
 
 
 def line_of_reads(fits: Sequence[IsoFit]) -> tuple[Range, Range, float] | None:
-    """Separate the noise before the gain from that of the converter, over ISO speeds.
+    """Separate the noise before the gain from the converter's, over ISO speeds.
 
     read_total^2 = read^2 + adc^2 / gain^2 is a line over 1 / gain^2.
 

@@ -1,4 +1,4 @@
-"""The part of a camera that dark frames and flats give: estimates, settings, what is left over."""
+"""The part of a camera that dark frames and flats give: estimates, settings, findings."""
 
 import math
 from collections.abc import Sequence
@@ -23,6 +23,7 @@ from gpusim.fit.sorting import Summary
 from gpusim.fit.transfer import chance_of_curvature
 
 PATTERNS = ("pixel", ""), ("row", "row_"), ("column", "column_")
+FEW = 0.03  # excess kurtosis that is no tail
 PROFILE = 0.1  # relative difference from a file's noise profile that is worth a line
 
 
@@ -34,7 +35,7 @@ def noise_part(fits: Sequence[IsoFit], summaries: Sequence[Summary]) -> Part:
         summaries: The shots behind them.
 
     Returns:
-        Estimates of every speed; settings are those of the lowest.
+        Estimates of every speed; the lowest speed's become settings.
     """
     estimates: dict[str, Estimate] = {}
     for fit in fits:
@@ -284,12 +285,26 @@ def findings_of(fit: IsoFit) -> list[Finding]:
     return found
 
 
+def has_tails(fit: IsoFit) -> bool:
+    """Return whether read noise is not Gaussian, and single electrons of dark current do not explain it."""
+    tails = fit.tails
+    if tails is None or tails.name == "Gaussian":
+        return False
+    dark = max(fit.darks, key=lambda level: level.count)
+    rates = [rate for rate, _ in fit.dark_line.rates.values()]
+    signal = max(rates, default=0.0) * (dark.exposure_time or 0.0)
+    variance = np.mean([point.variance for point in dark.points.values()])
+    # the fourth cumulant of d electrons is gain^4 d
+    expected = fit.gain**3 * max(signal, 0.0) / variance**2
+    return abs(tails.kurtosis) > 2 * expected + FEW
+
+
 def _unexplained(fit, has_several):
-    """Return lines about what the model does not explain at one ISO speed."""
+    """Return lines about findings outside the model at one ISO speed."""
     end = f" (ISO {fit.iso:g})" if has_several and fit.iso is not None else ""
     for one in alarms(findings_of(fit)):
         yield f"{one.words}{end}"
-    if fit.tails is not None and fit.tails.name != "Gaussian":
+    if has_tails(fit):
         yield (
             f"read noise has the tails of a {fit.tails.name} distribution (shape {fit.tails.shape:.3g}, "
             f"excess kurtosis {fit.tails.kurtosis:+.2f}), the camera's is Gaussian{end}"
@@ -322,7 +337,7 @@ def _profile_lines(fit, summaries):
 
 
 def _unknown(fits, estimates):
-    """Return lines about what the shots cannot tell, and what to shoot."""
+    """Return lines about numbers that the shots do not give."""
     fit = fits[0]
     if not any(key.startswith("sensor.full_well_e") for key in estimates):
         if fit.transfer.white is not None:

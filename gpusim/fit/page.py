@@ -1,4 +1,4 @@
-"""The page of a fit, in one file: estimates, fits, residuals, what is left over and unknown."""
+"""The page of a fit, in one file: estimates, fits, residuals, findings, unknown numbers."""
 
 import io
 import math

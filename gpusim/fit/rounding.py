@@ -32,10 +32,10 @@ _VARIANCES = np.array([rounded_variance(one) for one in _DEVIATIONS])
 
 
 def before_rounding(variance: float, lines: float = 0.0) -> float:
-    """Return the variance of pixels before rounding, from that of rounded ones [DN^2].
+    """Return the variance of pixels before rounding, from the variance of rounded ones [DN^2].
 
     Args:
-        variance: Temporal variance of pixels, without that of rows and columns.
+        variance: Temporal variance of pixels, without rows and columns.
         lines: Temporal variance of rows and columns, which also moves values over the steps.
 
     Returns:
@@ -51,6 +51,6 @@ def rounding_bias(deviation: float) -> float:
     """Return the largest error of a mean of rounded numbers [DN].
 
     Args:
-        deviation: Standard deviation of what is averaged, over frames and pixels [DN].
+        deviation: Standard deviation of the averaged values, over frames and pixels [DN].
     """
     return float(np.exp(-2 * np.pi**2 * deviation**2) / np.pi)

@@ -1,4 +1,4 @@
-"""Shots that a fit starts from: raw files, and what each of them shows."""
+"""Shots that a fit starts from: raw files, each of one kind."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +12,7 @@ from gpusim.domain.short_repr import short_repr
 from gpusim.io.raw.raw_files import read_raw
 from gpusim.io.raw.raw_frame import RawFrame
 
-# what a shot shows: no light; even light; colour patches; slanted edges; a grid of dots or a checkerboard; even light
+# content of a shot: no light; even light; colour patches; slanted edges; a grid of dots or a checkerboard; even light
 # through the lens; steps of light
 KINDS = ("dark", "flat", "chart", "edges", "grid", "shading", "ramp")
 
@@ -24,7 +24,7 @@ class Shot:
     Args:
         path: The file.
         index: Index of the frame in the file.
-        kind: What it shows, one of `KINDS`.
+        kind: Its content, one of `KINDS`.
         settings: Fields of `RawFrame` in place of the file's.
     """
 
@@ -42,13 +42,13 @@ class Shot:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What a part of the fit may take as known.
+    """Numbers that a part of the fit may take as known.
 
     Args:
-        base: Camera whose values stand for what the shots do not tell.
+        base: Camera whose values stand for unknown ones.
         cfa: Mosaic of the shots.
-        black_level: Measured black level, or else that of the files [DN], shape (1, 1) or that of
-            one period.
+        black_level: Measured black level, or else the files' [DN], shape (1, 1) or one
+            number for each place of a period.
         white_level: Largest value [DN].
         gain: System gain by ISO speed [DN/e-]; empty if it was not measured.
         options: Options of the user by name, such as the light of a chart.

@@ -1,4 +1,4 @@
-"""Shots by what they show, and by their settings."""
+"""Shots by content and by settings."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -20,7 +20,7 @@ SAMPLED = 512  # rows and columns of a frame's summary
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """What sorting needs of a shot.
+    """Figures of a shot for sorting.
 
     Args:
         shot: The shot.
@@ -49,7 +49,7 @@ class Summary:
 
 
 def summarise(shots: Sequence[Shot]) -> list[Summary]:
-    """Read each shot once and return what sorting needs. Raises as `read_raw`."""
+    """Read each shot once and return figures for sorting. Raises as `read_raw`."""
     found = []
     for number, shot in enumerate(shots):
         with announced(f"reading {shot.path.name}, {number} of {len(shots)} frames sorted"):

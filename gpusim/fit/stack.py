@@ -12,7 +12,7 @@ import numpy as np
 
 from gpusim.fit.intervals import MeanSquare
 
-FAR = 6.0  # standard deviations to which a pixel is limited where it would spoil a mean
+FAR = 6.0  # standard deviations to which a pixel is limited in means of rows and columns
 SAMPLE = 100_000  # pixels of a robust estimate
 FRAMES_OF_SPECTRA = 4
 LAGS = ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0))  # rows and columns of neighbours
@@ -209,7 +209,7 @@ def _line_square(series, period):
 
 
 def _spectrum(white):
-    """Return the mean power of lines at each frequency from 1 to that of alternating pixels."""
+    """Return the mean power of lines at each frequency up to alternating pixels."""
     power = np.zeros(white.shape[1] // 2 + 1)
     for start in range(0, len(white), 256):
         lines = np.fft.rfft(white[start : start + 256], axis=1)

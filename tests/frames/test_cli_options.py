@@ -29,6 +29,7 @@ from gpusim.cli.main import COMMANDS, main
 from gpusim.cli.options import DEVELOPING
 from gpusim.color.speed import operate_camera
 from gpusim.domain.digest import digest
+from gpusim.fit import fitting
 from gpusim.io.camera.learned import bayer_table
 
 TIMES = re.compile(r"[0-9.e+-]+ (ms|s|pairs/s|frames/s)\b")
@@ -417,7 +418,6 @@ def record(monkeypatch):
     import gpusim.bench.peers
     import gpusim.bench.scaling
     import gpusim.bench.suite
-    import gpusim.fit.fitting
     import gpusim.io.camera.learned
     import gpusim.io.camera.network
     import gpusim.judge.combinations
@@ -511,7 +511,7 @@ def record(monkeypatch):
         (gpusim.judge.verify, "verify_devices", verified_by_name),
         (gpusim.judge.hard, "hard", hard),
         (gpusim.judge.combinations, "combinations", combined),
-        (gpusim.fit.fitting, "fit", fitted),
+        (fitting, "fit", fitted),
         (gpusim.bench.suite, "measure", measured),
         (gpusim.bench.suite, "append_round", lambda stored, path, device: measured(device, [path])),
         (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),

@@ -48,6 +48,8 @@ def objects():
         gs.LightField(((deep, deep),), 1e-3),
         gs.ViewImages(np.ones((2, 3, 4, 5, 1)), -2.0, 0.5, 4e-3, 2.0, name=300 * "n"),
         gs.ViewDepth(*np.ones((5, 4, 5))),
+        gs.Estimate(1.0, 0.9, 1.1, "e-", 300 * ("a.dng",)),
+        gs.Fit((), "phone", 300 * "n"),
         picture,
         lit,
         *(one.content for one in (CHECKER, CUBE, picture, lit)),

@@ -19,7 +19,8 @@ class RawFrame:
             one channel.
         name: Name of the file, without its folder.
         camera: Make and model.
-        black_level: Black level [DN] that the file states, shape (1, 1) or that of one period, or None.
+        black_level: Black level [DN] that the file states, shape (1, 1) or one number for each place
+            of a period, or None.
         white_level: Largest value [DN] that the file states.
         iso: ISO speed.
         exposure_time: Exposure time [s].
@@ -28,7 +29,7 @@ class RawFrame:
         temperature: Temperature of the sensor [deg C].
         photons: Photons on a pixel during the exposure, if they were measured [photon].
         noise_profile: Pairs S, O of a DNG's noise profile, shape (1, 2) or (planes, 2), or None.
-        notes: Lines about what was found in the file and not used.
+        notes: Lines about tags of the file that are not used.
     """
 
     values: np.ndarray

@@ -26,12 +26,12 @@ NOT_APPLIED = {51008: "OpcodeList1", 51009: "OpcodeList2", 51022: "OpcodeList3"}
 
 @dataclass(frozen=True, eq=False)
 class RawTags:
-    """What a raw file says about itself; empty if it is not built like TIFF.
+    """Tags of a raw file; empty if it is not built like TIFF.
 
     Args:
         settings: Fields of `RawFrame` by name.
         page: Numbers of the raw picture's tags by code.
-        place: Index of the raw picture among those of the file, -1 if there is none.
+        place: Index of the raw picture in the file, -1 if there is none.
         is_dng: Whether it is a DNG.
         is_plain: Whether it is a TIFF without anything of a camera.
     """
@@ -80,7 +80,7 @@ class RawTags:
 
     @property
     def black_level(self) -> np.ndarray | None:
-        """Black level [DN] of each place of its period, without what it adds by row or column."""
+        """Black level [DN] of each place of its period, the mean over rows and columns."""
         levels = self.page.get(50714)
         if levels is None or self._one(277, 1) != 1:
             return None
@@ -203,7 +203,7 @@ def _camera(names):
 
 
 def _settings(exif, first):
-    """Return settings of the exposure from EXIF tags, or those of the first picture."""
+    """Return settings of the exposure from EXIF tags, or from the first picture."""
 
     def one(*names, codes=()):
         for name in names:
