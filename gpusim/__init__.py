@@ -5,10 +5,8 @@ simulate = gs.Simulator(gs.open_camera("phone"), device="auto")
 frame = simulate(gs.open_scene("colorchecker"), seed=1)  # frame.mean, .raw, .rgb, .report
 """
 
-import sys
 from functools import partial
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING
 
 import gpusim.kernels  # noqa: F401  it finds its parts by a path of its own, which threads must not meet half set
@@ -74,8 +72,9 @@ _NAMES = {
     "domain.sensor": ("Sensor",),
     "domain.spectrum": ("Spectrum",),
     "domain.view_images": ("ViewImages",),
+    "fit": ("fit",),
     "fit.estimate": ("Estimate",),
-    "fit.fitting": ("Fit", "fit"),
+    "fit.fitting": ("Fit",),
     "io.camera.calibration": ("read_calibration",),
     "io.camera.cameras": ("open_camera", "camera_names"),
     "io.camera.emva1288": ("sensor_from_emva1288",),
@@ -142,8 +141,9 @@ if TYPE_CHECKING:
     from gpusim.captures.phase_focus import phase_focus as phase_focus
     from gpusim.captures.reads import Reads as Reads
     from gpusim.captures.reads import read_nondestructively as read_nondestructively
+    from gpusim.fit import fit as fit
     from gpusim.fit.estimate import Estimate as Estimate
-    from gpusim.fit.fitting import Fit as Fit, fit as fit
+    from gpusim.fit.fitting import Fit as Fit
     from gpusim.io.camera.calibration import read_calibration as read_calibration
     from gpusim.io.camera.cameras import camera_names as camera_names, open_camera as open_camera
     from gpusim.data.charts import chart as chart
@@ -217,17 +217,6 @@ def __getattr__(name):
         found = getattr(import_module(_PUBLIC[name]), name)
     globals()[name] = found  # Python does not ask again
     return found
-
-
-class _Package(ModuleType):
-    """The package, whose name `fit` stays the function when a module of the package `fit` is imported."""
-
-    def __setattr__(self, name, value):
-        if name != "fit" or not isinstance(value, ModuleType):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package
 
 
 def __dir__():

@@ -78,7 +78,7 @@ def fit(request: FitRequest) -> int:
         GpusimError: An option or a file is wrong.
     """
     from gpusim.fit.camera_text import words
-    from gpusim.fit.fitting import fit as fit_camera
+    from gpusim.fit import fit as fit_camera
     from gpusim.io.atomic import check_output
 
     for path in (request.out, request.page):

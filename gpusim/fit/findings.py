@@ -191,13 +191,11 @@ def find_tails(residual: np.ndarray, deviation: float, step: float) -> Tails:
     # a margin: twice the logarithm of the rate of false alarms
     if gaussian - best[name][0] < -2 * math.log(ALARM):
         name = "Gaussian"
-    shape = {"Gaussian": None, "Student": None, "Tukey lambda": None}
-    if name == "Student":
-        shape[name] = math.exp(best[name][1][1])
-    elif name == "Tukey lambda":
-        shape[name] = float(best[name][1][1])
+    shape = None if name == "Gaussian" else float(best[name][1][1])
+    if name == "Student" and shape is not None:
+        shape = math.exp(shape)
     kurtosis = float(np.mean(values**4) / np.mean(values**2) ** 2 - 3)
-    return Tails(name, shape[name], gaussian - best[name][0], values, kurtosis)
+    return Tails(name, shape, gaussian - best[name][0], values, kurtosis)
 
 
 def _normal(x):

@@ -149,53 +149,16 @@ class Fit:
         return file
 
 
-def fit(
-    files: Paths = (),
-    *,
-    darks: Paths = (),
-    flats: Paths = (),
-    chart: Paths = (),
-    edges: Paths = (),
-    grid: Paths = (),
-    shading: Paths = (),
-    ramp: Paths = (),
-    base: str | os.PathLike | None = None,
-    cfa: str | Sequence[str] | None = None,
-    options: Mapping[str, Any] | None = None,
+def fit_camera(
+    files: Paths,
+    more: Mapping[str, Paths],
+    base: str | os.PathLike | None,
+    cfa: str | Sequence[str] | None,
+    options: Mapping[str, Any] | None,
 ) -> Fit:
-    """Fit a camera to its own raw files.
-
-    The shots decide which parts are fitted; `Fit.unknown` names the rest. Every estimate has an
-    interval of 95 % confidence; `Fit.unexplained` lists findings outside the model.
-
-    Args:
-        files: Raw files or folders. A folder's name (darks, flats, chart, edges, grid, shading,
-            ramp) says what its frames show; of other files the content does: dark, or even light.
-        darks: Frames without light, at one or more exposure times and temperatures.
-        flats: Pairs, or more frames, of even light without a lens, from dark to beyond saturation.
-        chart: Frames of a ColorChecker.
-        edges: Frames of slanted edges.
-        grid: Frames of a grid of dots or a checkerboard.
-        shading: Frames of even light through the lens.
-        ramp: Frames of steps of light, also as JPEGs.
-        base: Camera whose values stand for unknown ones, a name or a file; None: "mono" for one
-            channel, otherwise "phone".
-        cfa: Mosaic of files that do not state it: a name, or rows of letters.
-        options: Options of the parts by name, such as the light of a chart.
-
-    Returns:
-        The fit.
-
-    Raises:
-        BadData: Frames are missing, mixed, clipped or moved.
-        BadFile: A file cannot be read, or is no raw file.
-        UnknownName: There is no such base or mosaic.
-    """
+    """Fit a camera to its own raw files, see `gpusim.fit`. more: files by kind of `KINDS`."""
     settings = {"cfa": cfa} if cfa is not None else {}
-    given = {
-        "": files, "dark": darks, "flat": flats, "chart": chart, "edges": edges, "grid": grid,
-        "shading": shading, "ramp": ramp,
-    }  # fmt: skip
+    given = {"": files, **more}
     shots = [shot for kind, paths in given.items() for shot in _find_shots(paths, kind, settings)]
     if not shots:
         raise BadData("no raw files: wanted dark frames and flats, or shots of charts")

@@ -171,7 +171,8 @@ def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
     row, column, pixel = _lines(stack, good)
     line_error = max(row.value, 0.0) / stack.shape[0] + max(column.value, 0.0) / stack.shape[1]
     dark_line = fit_dark_line(levels, line_error)
-    offsets = split_pattern(*(half.copy() for half in stack.halves), good, period)
+    first, second = (half.copy() for half in stack.halves)
+    offsets = split_pattern(first, second, good, period)
     fixed = sum(max(part.value, 0.0) for part in (offsets.pixel, offsets.row, offsets.column))
     temporal = pixel.value + max(row.value, 0.0) + max(column.value, 0.0)
     deviation = math.sqrt(temporal + fixed)

@@ -296,7 +296,7 @@ def has_tails(fit: IsoFit) -> bool:
     variance = np.mean([point.variance for point in dark.points.values()])
     # the fourth cumulant of d electrons is gain^4 d
     expected = fit.gain**3 * max(signal, 0.0) / variance**2
-    return abs(tails.kurtosis) > 2 * expected + FEW
+    return bool(abs(tails.kurtosis) > 2 * expected + FEW)
 
 
 def _unexplained(fit, has_several):

@@ -105,6 +105,7 @@ def _transfer(fit: IsoFit, figure: "Figure") -> None:
 def _linearity(fit: IsoFit, figure: "Figure") -> None:
     axes = figure.subplots()
     linear = fit.linearity
+    assert linear is not None
     letters = np.array(linear.letters)
     for letter in dict.fromkeys(linear.letters):
         chosen = letters == letter
@@ -163,6 +164,7 @@ def _spectra(fit: IsoFit, figure: "Figure") -> None:
 
 def _tails(fit: IsoFit, figure: "Figure") -> None:
     axes = figure.subplots()
+    assert fit.tails is not None
     values = fit.tails.values
     reach = min(max(4.5, float(np.abs(values).max())), 12.0)
     counts, edges = np.histogram(values, np.linspace(-reach, reach, 81))

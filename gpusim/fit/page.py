@@ -4,7 +4,7 @@ import io
 import math
 from collections.abc import Iterable
 from html import escape
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gpusim.domain.errors import Missing
 from gpusim.domain.progress import announced
@@ -116,7 +116,7 @@ def _figures(plots: list[Plot]) -> Iterable[str]:
         raise Missing("the page of a fit needs matplotlib: pip install 'gpusim[fit]'") from None
     from matplotlib.figure import Figure
 
-    ink = {
+    ink: Any = {
         f"{name}color": INK for name in ("text.", "axes.edge", "axes.label", "xtick.", "ytick.")
     } | {"svg.fonttype": "none", "legend.framealpha": 0, "font.size": 9, "svg.hashsalt": "gpusim"}
     for number, plot in enumerate(plots):

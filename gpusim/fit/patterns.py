@@ -78,7 +78,8 @@ def split_pattern(first, second, good, period, degree: int = 0) -> Pattern:
             MeanSquare(max(pixel.value, 0.0) / (number * share), good.size),
         ]
         lines.append(difference_of(*sums))
-    return Pattern(pixel, *lines, values, rows_of[0], columns_of[0])
+    row_part, column_part = lines
+    return Pattern(pixel, row_part, column_part, values, rows_of[0], columns_of[0])
 
 
 def _line_square(means, lost):

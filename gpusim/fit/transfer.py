@@ -300,7 +300,8 @@ def fit_linearity(flats: Sequence[Level], black: float, line_error: float) -> Li
     """
     unit = "photon" if all(level.photons for level in flats) else "s"
     flicker = _flicker(flats, line_error)
-    rows, curvatures = [], []
+    rows: list[tuple] = []
+    curvatures = []
     for letter in flats[0].points:
         points = [
             (level.photons or level.exposure_time, level.points[letter], level)
@@ -333,13 +334,10 @@ def fit_linearity(flats: Sequence[Level], black: float, line_error: float) -> Li
     chances = [chance_of_normal(bend / error, freedom) for bend, error in bends]
     chance = min(1.0, len(bends) * min(chances))
     worst = max(bends, key=lambda one: abs(one[0]))
-    x, y, fitted, errors, letters = zip(*rows, strict=True)
+    columns = [list(column) for column in zip(*rows, strict=True)]
     return Linearity(
-        np.array(x),
-        np.array(y),
-        np.array(fitted),
-        np.array(errors),
-        list(letters),
+        *map(np.array, columns[:4]),
+        columns[4],
         normal_range(100 * worst[0], 100 * worst[1]),
         chance,
         unit,

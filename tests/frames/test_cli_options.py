@@ -475,13 +475,13 @@ def record(monkeypatch):
         )
         yield row | {"point": "a", "words": said(camera, scene, scene.shape, device)}
 
-    def fitted(files, **settings):
+    def fitted(files, *settings):
         def write(path, page, maps):
             for one in (path, page or f"{path}.html"):
                 Path(one).write_text(said(maps))
             return [path]
 
-        lines = [said(files, settings)]
+        lines = [said(files, *settings)]
         return SimpleNamespace(lines=lines, estimates={}, unexplained=(), unknown=(), write=write)
 
     def network_trained(tiles, *, tell, **options):
@@ -511,7 +511,7 @@ def record(monkeypatch):
         (gpusim.judge.verify, "verify_devices", verified_by_name),
         (gpusim.judge.hard, "hard", hard),
         (gpusim.judge.combinations, "combinations", combined),
-        (fitting, "fit", fitted),
+        (fitting, "fit_camera", fitted),
         (gpusim.bench.suite, "measure", measured),
         (gpusim.bench.suite, "append_round", lambda stored, path, device: measured(device, [path])),
         (gpusim.bench.cold, "measure_cold_build", lambda device, stages: None),

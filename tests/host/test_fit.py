@@ -64,10 +64,10 @@ def write(
             save(camera, path, maps, level / 10, 8000 * level, rng, iso)
 
 
-def save(camera, path, maps, seconds, electrons, rng, iso, **more):
-    frame = expose(camera, maps, iso, seconds, electrons, rng)
+def save(truth, path, maps, seconds, electrons, rng, iso, **more):
+    frame = expose(truth, maps, iso, seconds, electrons, rng)
     np.savez(
-        path, dn=frame, cfa=np.array(camera.cfa), iso=float(iso), exposure_time_s=seconds, **more
+        path, dn=frame, cfa=np.array(truth.cfa), iso=float(iso), exposure_time_s=seconds, **more
     )
 
 

@@ -67,7 +67,7 @@ def count_array_frames(path) -> int:
         import tifffile
 
         with open_file(path) as file, reading(path, "a TIFF"), tifffile.TiffFile(file) as tiff:
-            is_raw = 50706 in tiff.pages[0].tags  # DNGVersion: other pages are previews
+            is_raw = tiff.pages.first.tags.get(50706) is not None  # DNGVersion: others are previews
             return 1 if is_raw else len(tiff.pages)
     return shape[0] if len(shape) == 3 else 1
 

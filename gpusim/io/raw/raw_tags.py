@@ -6,6 +6,7 @@ Only the tags named here are read: no serial number, owner or position.
 import math
 from dataclasses import dataclass, field
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
@@ -145,7 +146,7 @@ def read_raw_tags(path) -> RawTags:
     ):
         found = [*_pages(tiff)]
         pages = [{tag.code: _numbers(tag) for tag in page.tags} for page in found]
-        exif = next((page.tags[EXIF].value for page in found if EXIF in page.tags), {})
+        exif: Any = next((page.tags[EXIF].value for page in found if EXIF in page.tags), {})
         first = found[0].tags
         names = {code: _text(first, code) for code in (MAKE, MODEL, UNIQUE_MODEL, SOFTWARE)}
         is_dng = DNG_VERSION in first
