@@ -77,8 +77,8 @@ def fit(request: FitRequest) -> int:
     Raises:
         GpusimError: An option or a file is wrong.
     """
-    from gpusim.fit.camera_text import words
     from gpusim.fit import fit as fit_camera
+    from gpusim.fit.camera_text import words
     from gpusim.io.atomic import check_output
 
     for path in (request.out, request.page):

@@ -336,7 +336,10 @@ def fit_linearity(flats: Sequence[Level], black: float, line_error: float) -> Li
     worst = max(bends, key=lambda one: abs(one[0]))
     columns = [list(column) for column in zip(*rows, strict=True)]
     return Linearity(
-        *map(np.array, columns[:4]),
+        np.array(columns[0]),
+        np.array(columns[1]),
+        np.array(columns[2]),
+        np.array(columns[3]),
         columns[4],
         normal_range(100 * worst[0], 100 * worst[1]),
         chance,

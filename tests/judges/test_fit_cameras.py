@@ -15,6 +15,7 @@ import pytest
 from raw_cameras import draw_camera, shoot
 
 import gpusim as gs
+from gpusim.cli.main import main
 
 HELD_OUT = range(25, 50)
 CHIPS = 3  # of each camera: 1,000 cases and more
@@ -101,3 +102,50 @@ def test_wrong_models_are_noticed(spoil):
         if not noticed[-1]:
             print(seed, camera)
     assert sum(noticed) >= 0.95 * len(noticed)
+
+
+@pytest.mark.slow
+def test_dngs_of_gpusim_give_back_their_camera(tmp_path):
+    """Raw files that gpusim writes, read by the command: each number of the camera file near the truth."""
+    camera = gs.open_camera("phone")
+    noise = replace(
+        camera.sensor.noise,
+        **{
+            "read": 8.0,
+            "row": 2.0,
+            "column": 1.5,
+            "dsnu": 4.0,
+            "row_dsnu": 1.0,
+            "column_dsnu": 1.0,
+        },
+        **{"prnu": 0.008, "row_prnu": 0.003, "column_prnu": 0.003, "dark_current": 20.0},
+    )
+    sensor = replace(camera.sensor, noise=noise, full_well=6000, gain=0.1)
+    scenes = {
+        "darks": gs.open_scene("flat", size=(256, 192), luminance=1e-9),
+        "flats": gs.open_scene("flat", size=(256, 192)),
+    }
+    series = {
+        "darks": {0.001: 8, 2.0: 4},
+        "flats": dict.fromkeys((0.01, 0.03, 0.06, 0.1, 0.15, 1.0), 2),
+    }
+    number = 0
+    for kind, times in series.items():
+        for seconds, count in times.items():
+            simulate = gs.Simulator(
+                replace(camera, sensor=replace(sensor, exposure_time=seconds)), device="numpy"
+            )
+            for _ in range(count):
+                frame = simulate(scenes[kind], seed=number)
+                frame.save(tmp_path / kind / f"{number:02d}.dng")
+                number += 1
+    assert main(["fit", str(tmp_path), "-o", str(tmp_path / "mine.toml")]) in (0, 1)
+    found = gs.open_camera(tmp_path / "mine.toml").sensor
+    assert found.gain == pytest.approx(0.1, rel=0.02)  # 4 standard errors
+    assert found.full_well == pytest.approx(6000, rel=0.02)
+    assert (found.black_level, found.bits, found.cfa) == (64, 10, ("RG", "GB"))
+    for key in ("read", "dsnu", "prnu", "dark_current"):
+        assert getattr(found.noise, key) == pytest.approx(getattr(noise, key), rel=0.05), key
+    for key in ("row", "column", "row_dsnu", "column_dsnu", "row_prnu", "column_prnu"):
+        # 192 rows: 5 % for a pattern's standard deviation
+        assert getattr(found.noise, key) == pytest.approx(getattr(noise, key), rel=0.25), key
