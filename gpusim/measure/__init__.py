@@ -6,7 +6,7 @@ from gpusim.measure.ideal import ideal
 from gpusim.measure.merge import MergeInputs, merge_inputs
 from gpusim.measure.photon_transfer import PhotonTransfer, photon_transfer
 from gpusim.measure.sfr import EdgeResponse, mtf50, sfr
-from gpusim.measure.snr import SnrCurve, snr, snr_curve, visible_snr
+from gpusim.measure.snr import SnrCurve, dynamic_range, snr, snr_curve, visible_snr
 
 __all__ = [
     "EdgeResponse",
@@ -15,6 +15,7 @@ __all__ = [
     "SnrCurve",
     "ciede2000",
     "cpsnr",
+    "dynamic_range",
     "ideal",
     "merge_inputs",
     "mtf50",

@@ -14,7 +14,7 @@ LEAST = 48  # least rows of a chart with separable patches
 class Checker:
     """Patches of a scene of the chart "colorchecker", as an ideal camera shows them on sRGB.
 
-    true: their mean XYZ, (24, 3), white Y = 1.
+    true: their mean XYZ, (24, 3), white Y = 1. shape: rows and columns of the scene.
     """
 
     def __init__(self, scene: Scene):
@@ -24,6 +24,7 @@ class Checker:
         self._parts = [
             tuple(slice(part.start + rim, part.stop - rim) for part in patch) for patch in parts
         ]
+        self.shape = scene.shape
         self.true = self._patch_means(ideal(scene))
 
     def _patch_means(self, picture):

@@ -71,19 +71,11 @@ def snr_curve(
         OutOfRange: if `seconds` is negative or not finite.
         BadData: if the sensor does not respond to the light, or dark current fills the pixel.
     """
-    if not (isinstance(seconds, Real) and 0 <= seconds < np.inf):
-        raise OutOfRange("seconds", f"{seconds} s", "0 <= seconds < inf")
+    dark, room = _dark_and_room(sensor, seconds, "snr_curve")
     light = light_of(light)
     per_exposure = electrons_per_lux_second(sensor, light)
     if not per_exposure.any():
         raise BadData(f"snr_curve: the sensor does not respond to {light.name or 'the light'}")
-    dark = sensor.noise.operating_dark_current * seconds
-    room = sensor.saturation - dark
-    if not room > 0:
-        raise BadData(
-            f"snr_curve: {dark:.4g} e- of dark current in {seconds:g} s fill the pixel's "
-            f"{sensor.saturation:.4g} e-; wanted fewer seconds"
-        )
     with np.errstate(divide="ignore"):
         saturation = room / per_exposure
     ends = saturation[np.isfinite(saturation)]
@@ -97,6 +89,44 @@ def snr_curve(
     with np.errstate(divide="ignore", invalid="ignore"):
         found = np.where(electrons > 0, 20 * np.log10(electrons) - 10 * np.log10(variance), -np.inf)
     return SnrCurve(exposure, electrons, found, saturation)
+
+
+def dynamic_range(sensor: Sensor, *, seconds: float = 0.0) -> float:
+    """Return the expected dynamic range of a sensor: saturation over the least signal.
+
+    The least signal has an SNR of 1: dark noise + 1/2 electron.
+
+    Source: EMVA Standard 1288, DR = mu_p.sat / mu_p.min; dark noise of
+    `gpusim.domain.raw_noise.RawNoise`, temporal.
+
+    Args:
+        sensor: the sensor.
+        seconds: time during which dark current is collected [s].
+
+    Returns:
+        Dynamic range [dB].
+
+    Raises:
+        OutOfRange: if `seconds` is negative or not finite.
+        BadData: if dark current fills the pixel.
+    """
+    dark, room = _dark_and_room(sensor, seconds, "dynamic_range")
+    noise = RawNoise.of(sensor).variance(dark, temporal=True) ** 0.5
+    return float(20 * np.log10(room / (noise + 0.5)))
+
+
+def _dark_and_room(sensor, seconds, name) -> tuple[float, float]:
+    """Return the electrons of dark current, and the capacity that they leave. Raises OutOfRange, BadData."""
+    if not (isinstance(seconds, Real) and 0 <= seconds < np.inf):
+        raise OutOfRange("seconds", f"{seconds} s", "0 <= seconds < inf")
+    dark = sensor.noise.operating_dark_current * seconds
+    room = sensor.saturation - dark
+    if not room > 0:
+        raise BadData(
+            f"{name}: {dark:.4g} e- of dark current in {seconds:g} s fill the pixel's "
+            f"{sensor.saturation:.4g} e-; wanted fewer seconds"
+        )
+    return dark, room
 
 
 def electrons_per_lux_second(sensor: Sensor, light: Spectrum) -> np.ndarray:
