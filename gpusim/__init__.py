@@ -18,6 +18,7 @@ __version__ = "0.1.0"
 # module -> names; resolved on first use, which keeps `import gpusim` fast
 _NAMES = {
     "apps.preview": ("preview",),
+    "apps.study": ("study",),
     "apps.tensors.batches": ("PictureBatch",),
     "backends": ("open_device",),
     "captures.bracket": ("Bracket", "bracket"),
@@ -105,6 +106,7 @@ __all__ = sorted(_PUBLIC)
 if TYPE_CHECKING:
     from gpusim import plot as plot
     from gpusim.backends import open_device as open_device
+    from gpusim.apps.study import study as study
     from gpusim.apps.tensors.batches import PictureBatch as PictureBatch
     from gpusim.captures.bracket import Bracket as Bracket, bracket as bracket
     from gpusim.captures.burst import Burst as Burst, average as average, burst as burst

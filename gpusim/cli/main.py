@@ -18,6 +18,7 @@ _PLACES = {
     "look": ("look", "LookRequest", "look", "TEXTS"),
     "video": ("video", "VideoRequest", "video", "TEXTS"),
     "pairs": ("pairs", "PairsRequest", "pairs", "TEXTS"),
+    "study": ("study", "StudyRequest", "study", "TEXTS"),
     "preview": ("preview", "PreviewRequest", "preview", "TEXTS"),
     "fit": ("fit", "FitRequest", "fit", "TEXTS"),
     "refocus": ("refocus", "RefocusRequest", "refocus", "TEXTS"),

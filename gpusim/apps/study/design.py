@@ -15,8 +15,14 @@ from gpusim.apps.study.scenes import StudyScene
 from gpusim.apps.study.varied import Varied
 from gpusim.domain.account import Tolerance
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData, BadFile, GpusimError, UnknownName, checked_count
-from gpusim.domain.errors import format_value
+from gpusim.domain.errors import (
+    BadData,
+    BadFile,
+    GpusimError,
+    UnknownName,
+    checked_count,
+    format_value,
+)
 from gpusim.domain.short_repr import short_repr
 from gpusim.io.files import read_text, reading
 
@@ -42,6 +48,7 @@ class Design:
         measures: The measures.
         requirements: The requirements.
         tolerance: Tolerance of each plan, or None, see `Simulator`.
+        is_file: Whether `text` is that of a study file.
     """
 
     name: str
@@ -52,6 +59,7 @@ class Design:
     measures: tuple[Measure, ...]
     requirements: tuple[Requirement, ...] = ()
     tolerance: Tolerance | None = None
+    is_file: bool = True
 
     __repr__ = short_repr
 
@@ -92,7 +100,7 @@ def open_design(given: str | PathLike | Mapping[str, Any]) -> Design:
     Raises BadData, BadFile, OutOfRange, UnknownName.
     """
     if isinstance(given, Mapping):
-        return _design("study", dict(given), Path(), json.dumps(given, default=repr, indent=2))
+        return _design("study", dict(given), Path(), None)
     if not isinstance(given, str | PathLike):
         raise BadData(
             f"study: {type(given).__name__}, wanted the path of a study file or its content, a dictionary"
@@ -113,15 +121,16 @@ def open_design(given: str | PathLike | Mapping[str, Any]) -> Design:
 
 
 def _design(name, table, folder, text) -> Design:
+    """Return the design of a table. text: of its file, or None."""
     for key in table:
         if key not in SECTIONS:
             raise UnknownName("section of a study", key, SECTIONS)
     for key in ("camera", "vary", "scenes", "measures"):
         if not table.get(key):
-            raise BadData(f"study: no {key}; a study has camera, vary, sampling, scenes and measures")
-    keys = {
-        key: Distribution.parse(key, one) for key, one in _table("vary", table["vary"]).items()
-    }
+            raise BadData(
+                f"study: no {key}; a study has camera, vary, sampling, scenes and measures"
+            )
+    keys = {key: Distribution.parse(key, one) for key, one in _table("vary", table["vary"]).items()}
     sampling = Sampling.parse(table.get("sampling"), keys)
     places = {
         key: StudyScene.parse(key, one, folder)
@@ -139,13 +148,14 @@ def _design(name, table, folder, text) -> Design:
     wanted = table.get("tolerance")
     design = Design(
         str(table.get("name", name)),
-        text,
+        json.dumps(table, default=repr, indent=2) if text is None else text,
         Varied.open(table["camera"], sampling, folder),
         places,
         _seeds(table.get("seeds", 1)),
         measures,
         requirements,
         None if wanted is None else Tolerance.parse(wanted),
+        text is not None,
     )
     checked_count("rows of the study", len(design), 1, MOST_ROWS)
     design.varied.check()
@@ -173,4 +183,3 @@ def _require_different(names):
     for name in names:
         if names.count(name) > 1:
             raise BadData(f"study: two columns of the table would be {name}; give one another name")
-

@@ -208,9 +208,7 @@ def _own_function(name, given, folder) -> Callable[[Shot], Any]:
         return given
     module, colon, function = given.partition(":") if isinstance(given, str) else ("", "", "")
     if not (module and colon and function):
-        raise BadData(
-            f'measure {name}: function = {format_value(given)}, wanted "module:function"'
-        )
+        raise BadData(f'measure {name}: function = {format_value(given)}, wanted "module:function"')
     sys.path.insert(0, str(folder))
     try:
         found = getattr(import_module(module), function, None)

@@ -127,9 +127,7 @@ class Yield:
         return self.passed / self.count if self.count else math.nan
 
 
-def wilson_interval(
-    passed: int, count: int, confidence: float = CONFIDENCE
-) -> tuple[float, float]:
+def wilson_interval(passed: int, count: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Return the interval of a share by Wilson's score.
 
     Source: Wilson 1927, "Probable inference, the law of succession, and statistical inference", JASA 22.

@@ -4,7 +4,6 @@ import math
 from collections.abc import Generator, Iterable
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 from gpusim.apps.study.design import Design
@@ -54,7 +53,9 @@ class Rows:
         self._loops: dict[str, Loop] = {}
         self._plans: dict[str, list[tuple[tuple, Plan]]] = {name: [] for name in design.places}
         self._camera: tuple[int, Camera] | None = None  # the last one
-        self._simulator: tuple[Camera, Simulator] | None = None  # of the last camera that was computed
+        self._simulator: tuple[Camera, Simulator] | None = (
+            None  # of the last camera that was computed
+        )
 
     def each(self, numbers: Iterable[int]) -> Generator[dict[str, Any], None, None]:
         """Yield rows by their numbers: columns of the table by name.
@@ -143,6 +144,3 @@ class Rows:
                 errors.append(f"{one.name}: not a number")
             else:
                 measured[one.name] = value
-
-
-open_rows = partial(Rows)

@@ -52,7 +52,10 @@ class Distribution:
 
     @classmethod
     def parse(cls, key: str, given: Any) -> "Distribution":
-        """Return the distribution of a study file, such as {normal = [0, 5]}. Raises BadData, OutOfRange, UnknownName."""
+        """Return the distribution of a study file, such as {normal = [0, 5]}.
+
+        Raises BadData, OutOfRange, UnknownName.
+        """
         words = f'vary "{key}"'
         if not isinstance(given, Mapping):
             raise BadData(

@@ -33,10 +33,17 @@ class StudyScene:
         name: Its name in the study.
         scene: The scene.
         patch: Rows and columns (top, left, bottom, right) [pixel] that measures use; None: chosen by them.
+        source: Its file, None for a chart.
     """
 
-    def __init__(self, name: str, scene: Scene, patch: tuple[int, int, int, int] | None = None):
-        self.name, self.scene, self.patch = name, scene, patch
+    def __init__(
+        self,
+        name: str,
+        scene: Scene,
+        patch: tuple[int, int, int, int] | None = None,
+        source: Path | None = None,
+    ):
+        self.name, self.scene, self.patch, self.source = name, scene, patch, source
         self._ideals: list[tuple[Display, np.ndarray, np.ndarray]] = []
 
     def __repr__(self):
@@ -52,11 +59,16 @@ class StudyScene:
         source, patch = table.pop("scene", None), table.pop("patch", None)
         if isinstance(source, Scene):
             if table:
-                raise BadData(f"scene {name}: options {', '.join(table)} of a Scene; leave them out")
+                raise BadData(
+                    f"scene {name}: options {', '.join(table)} of a Scene; leave them out"
+                )
             scene = source
         else:
             scene = _open(name, source, table, folder)
-        return cls(name, scene, None if patch is None else _checked_patch(name, patch, scene.shape))
+        if patch is not None:
+            patch = _checked_patch(name, patch, scene.shape)
+        is_file = isinstance(source, str) and source not in CHARTS
+        return cls(name, scene, patch, folder / source if is_file else None)
 
     @cached_property
     def checker(self) -> Checker | None:

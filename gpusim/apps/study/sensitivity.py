@@ -46,7 +46,8 @@ def find_sensitivities(
     """Return the effect of each key on a measure of a sample or a grid of cameras.
 
     Args:
-        measure, scene: Their names.
+        measure: Its name.
+        scene: Name of the scene.
         keys: The values of each key, N each.
         values: The measure (N,); NaN if it could not be measured.
     """
@@ -81,7 +82,13 @@ def find_sensitivities(
 def find_slopes(
     measure: str, scene: str, points: dict[str, list[tuple[float, float]]]
 ) -> list[Sensitivity]:
-    """Return the least-squares slope of a measure along each key. points: key's value and measure."""
+    """Return the least-squares slope of a measure along each key.
+
+    Args:
+        measure: Its name.
+        scene: Name of the scene.
+        points: Values of the key and of the measure, by key.
+    """
     found = []
     for key, given in points.items():
         pairs = np.array([pair for pair in given if np.isfinite(pair).all()], float).reshape(-1, 2)

@@ -131,4 +131,3 @@ class Shot:
         if not sensor.stacked:
             return raw
         return raw.reshape(len(sensor.channels), -1, raw.shape[1])
-

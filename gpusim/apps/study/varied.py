@@ -43,7 +43,9 @@ class Varied:
         table = dict(given) if isinstance(given, Mapping) else {"base": given}
         name = table.pop("base", None)
         if not isinstance(name, str):
-            raise BadData(f'camera: base = {format_value(name)}, wanted a camera\'s name, such as "phone"')
+            raise BadData(
+                f'camera: base = {format_value(name)}, wanted a camera\'s name, such as "phone"'
+            )
         place = name if name in camera_names() else folder / name
         if name not in camera_names() and not Path(place).exists():
             raise UnknownName("camera", name, camera_names())
@@ -86,7 +88,11 @@ def _flatten(table) -> dict[str, Any]:
     """Return keys such as "optics.f_number" of a table with sections of keys, or with such keys."""
     found = {}
     for key, value in table.items():
-        if isinstance(value, Mapping) and "." not in key and key in ("optics", "sensor", "noise", "processor", "display"):
+        if (
+            isinstance(value, Mapping)
+            and "." not in key
+            and key in ("optics", "sensor", "noise", "processor", "display")
+        ):
             found |= {f"{key}.{name}": one for name, one in value.items()}
         else:
             found[key] = value
