@@ -8,6 +8,7 @@ from typing import Any
 
 from gpusim.apps.study.sampling import Sampling
 from gpusim.domain.camera import Camera
+from gpusim.domain.camera_keys import SECTIONS
 from gpusim.domain.errors import BadData, GpusimError, UnknownName, format_value
 from gpusim.domain.short_repr import short_repr
 from gpusim.io.camera.cameras import camera_names, camera_table, open_camera
@@ -88,11 +89,7 @@ def _flatten(table) -> dict[str, Any]:
     """Return keys such as "optics.f_number" of a table with sections of keys, or with such keys."""
     found = {}
     for key, value in table.items():
-        if (
-            isinstance(value, Mapping)
-            and "." not in key
-            and key in ("optics", "sensor", "noise", "processor", "display")
-        ):
+        if isinstance(value, Mapping) and key in SECTIONS:
             found |= {f"{key}.{name}": one for name, one in value.items()}
         else:
             found[key] = value
