@@ -69,7 +69,7 @@ def apply_changes(camera, changes: dict):
         if key in WHOLE:
             parts.setdefault("camera", {})[key] = _whole(camera, key, value)
             continue
-        section, name = _place(key)
+        section, name = place_key(key)
         field, read = SECTIONS[section][name]
         fields = parts.setdefault(section, {})
         if field in fields:
@@ -95,7 +95,7 @@ def apply_changes(camera, changes: dict):
     return replace(camera, **made)
 
 
-def _place(key):
+def place_key(key):
     """Return the section of a key, and the key without it. Raise UnknownName or BadData."""
     if "." in key:
         section, _, name = key.partition(".")

@@ -192,8 +192,9 @@ def _response(plane, order):
         raise BadData(
             "sfr: no edge, or one too blurred for the picture: values still change at the borders"
         )
-    response = _transform(line, middle, read / BINS)
-    narrower = _transform(line, middle, read / BINS / 2)
+    waves = _waves(middle)
+    response = _transform(waves, line, middle, read / BINS)
+    narrower = _transform(waves, line, middle, read / BINS / 2)
     error = float(np.abs(narrower - response)[FREQUENCIES <= 0.5].max())
     if error > MOST_ERROR:
         raise BadData(
@@ -203,11 +204,19 @@ def _response(plane, order):
     return response, angle, error
 
 
-def _transform(line, middle, reach):
+def _waves(middle):
+    """Return exp(-2 pi i f x) for FREQUENCIES and positions [pixel], (frequencies, positions), by powers."""
+    first = np.exp(-2j * np.pi * FREQUENCIES[1] * middle)
+    waves = np.broadcast_to(first, (len(FREQUENCIES), len(middle))).copy()
+    waves[0] = 1
+    return np.cumprod(waves, axis=0)
+
+
+def _transform(waves, line, middle, reach):
     """Return the response of a line spread at positions `middle` [pixel], windowed to `reach`."""
     windowed = line * (0.54 + 0.46 * np.cos(np.pi * middle / reach))
     line = np.where(np.abs(middle) <= reach, windowed, 0)
-    response = np.abs(np.exp(-2j * np.pi * FREQUENCIES[:, None] * middle) @ line) / line.sum()
+    response = np.abs(waves @ line) / line.sum()
     return response / np.sinc(FREQUENCIES / BINS) ** 2
 
 

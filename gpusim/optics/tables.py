@@ -271,7 +271,10 @@ def _along_rays(outline, waves, even):
     def otf(spline, sx, sy):
         return spline(1 - np.sqrt(1 - np.hypot(sx, sy)))
 
-    return (partial(otf, scipy.interpolate.CubicSpline(nodes, table)) for table in tables)
+    # one fit of all wavelengths, whose cost is that of a few
+    pieces = scipy.interpolate.CubicSpline(nodes, tables, axis=1).c
+    each = (np.ascontiguousarray(pieces[..., band]) for band in range(len(tables)))
+    return (partial(otf, scipy.interpolate.PPoly.construct_fast(one, nodes)) for one in each)
 
 
 def _integral(outline, wave):

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from gpusim.apps.study.scenes import StudyScene
+from gpusim.apps.study.scenes import StudyScene, block_means, encode
 from gpusim.apps.study.shot import Shot
 from gpusim.domain.errors import (
     BadData,
@@ -23,8 +23,8 @@ from gpusim.domain.short_repr import short_repr
 from gpusim.measure import ciede2000, cpsnr, mtf50, sfr
 from gpusim.measure.snr import dynamic_range
 
-BLOCK = 8  # [pixel] a side of the squares whose mean colours are compared
 MARGIN = 10  # [pixel] at each border that CPSNR leaves out
+MOST_ROWS = 256  # of the picture from which its response is measured
 AROUND = 60  # [pixel] on each side of a slanted edge that its response is measured from
 TILT = math.tan(math.radians(5))  # of the edge of the chart
 
@@ -48,10 +48,12 @@ def measure_snr(shot: Shot) -> float:
 
 def measure_mtf50(shot: Shot) -> float:
     """Return the frequency at which the contrast of the edge's luminance is one half [cycle/pixel]."""
-    rows, cols = shot.linear.shape[:2]
-    half, window = math.ceil(rows / 2 * TILT) + AROUND, shot.place.patch
+    rows, cols = shot.planes.shape[1:]
+    window = shot.place.patch
     if window is None:
-        window = 0, max(cols // 2 - half, 0), rows, min(cols // 2 + half, cols)
+        high = min(rows, MOST_ROWS)
+        half, top = math.ceil(high / 2 * TILT) + AROUND, (rows - high) // 2
+        window = top, max(cols // 2 - half, 0), top + high, min(cols // 2 + half, cols)
     top, left, bottom, right = window
     luminance = shot.planes[:, top:bottom, left:right]
     luminance = np.tensordot(shot.camera.display.xyz_from_rgb[1], luminance, 1)
@@ -66,16 +68,16 @@ def measure_mtf50_per_mm(shot: Shot) -> float:
 def measure_de(shot: Shot) -> float:
     """Return the mean CIEDE2000 against the scene on the display, without lens and noise.
 
-    Mean colours are compared: of the patches of a ColorChecker, of squares of BLOCK pixels in other scenes. The
+    Mean colours are compared: of the patches of a ColorChecker, of squares of 8 pixels in other scenes. The
     exposure is divided out.
     """
     checker = shot.place.checker
     if checker is not None and checker.shape == shot.planes.shape[1:]:
         display = shot.camera.display
         return float(checker.differences(shot.linear, shot.rendering.diffuser, display).mean())
-    mine, true = (_block_means(one) for one in (shot.shown, shot.ideal))
-    matrix, white = shot.camera.display.xyz_from_rgb.T, shot.camera.display.xyz_from_rgb.sum(1)
-    return float(ciede2000(mine @ matrix, true, white).mean())
+    matrix = shot.camera.display.xyz_from_rgb
+    shown = block_means(shot.shown) @ matrix.T
+    return float(ciede2000(shown, shot.ideal.blocks, matrix.sum(1)).mean())
 
 
 def measure_cpsnr(shot: Shot) -> float:
@@ -83,7 +85,13 @@ def measure_cpsnr(shot: Shot) -> float:
 
     The exposure is divided out, and both have the display's curve and no other tone curve.
     """
-    return cpsnr(shot.camera.display.encode(shot.shown), shot.encoded_ideal, border=MARGIN)
+    mine, true = encode(shot.camera.display, shot.shown), shot.ideal.codes
+    cut = [
+        slice(MARGIN, count - MARGIN) if count > 3 * MARGIN else slice(None)
+        for count in mine.shape[1:]
+    ]
+    pair = (np.moveaxis(one[:, *cut], 0, -1) for one in (mine, true))
+    return cpsnr(*pair, border=0)
 
 
 def measure_dynamic_range(shot: Shot) -> float:
@@ -221,11 +229,3 @@ def _own_function(name, given, folder) -> Callable[[Shot], Any]:
     if not callable(found):
         raise BadData(f"measure {name}: {module} has no function {format_value(function)}")
     return found
-
-
-def _block_means(picture):
-    """Return the means of squares of BLOCK pixels, (rows, cols, 3); the rest at the ends is left out."""
-    rows, cols = (max(count // BLOCK, 1) for count in picture.shape[:2])
-    side = min(BLOCK, *picture.shape[:2])
-    cut = picture[: rows * side, : cols * side]
-    return cut.reshape(rows, side, cols, side, 3).mean(axis=(1, 3), dtype=np.float64)

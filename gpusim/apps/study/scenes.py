@@ -3,7 +3,7 @@
 import inspect
 import math
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ from gpusim.measure.ideal import ideal
 from gpusim.pipeline.cache import same
 
 NEUTRAL = 21  # patch of the ColorChecker from which SNR is measured: neutral 5
+BLOCK = 8  # [pixel] a side of the squares whose mean colours are compared
+CODES = 2**16  # values of linear light in the table of display codes
 RIM = 4  # 1 / RIM of its side is left out at each border
 PATCHES = {  # rows and columns of even light in charts, as shares of the frame: top, left, bottom, right
     "flat": (0.25, 0.25, 0.75, 0.75),
@@ -44,7 +46,7 @@ class StudyScene:
         source: Path | None = None,
     ):
         self.name, self.scene, self.patch, self.source = name, scene, patch, source
-        self._ideals: list[tuple[Display, np.ndarray, np.ndarray]] = []
+        self._ideals: list[tuple[Display, IdealPicture]] = []
 
     def __repr__(self):
         return f"StudyScene({self.name!r}, {self.scene!r})"
@@ -89,7 +91,7 @@ class StudyScene:
             return down.start + rim, across.start + rim, down.stop - rim, across.stop - rim
         return 0, 0, rows, cols
 
-    def ideal_on(self, display: Display, shape: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+    def ideal_on(self, display: Display, shape: Sequence[int]) -> "IdealPicture":
         """Return the scene on a display, see `gpusim.measure.ideal`, without lens and noise.
 
         Args:
@@ -97,16 +99,62 @@ class StudyScene:
             shape: Rows and columns.
 
         Returns:
-            XYZ (rows, cols, 3), and its display codes 0 .. 1, float32, clipped to the display's range.
+            The picture; those of the last two displays are kept.
         """
-        for known, *found in self._ideals:
-            if found[0].shape[:2] == tuple(shape) and (known is display or same(known, display)):
-                return found[0], found[1]
-        true = ideal(self.scene, display, shape)
-        linear = true @ np.linalg.inv(display.xyz_from_rgb.T)
-        codes = display.encode(np.clip(linear, 0, 1).astype(np.float32))
-        self._ideals = [(display, true, codes), *self._ideals[:1]]
-        return true, codes
+        for known, found in self._ideals:
+            if found.xyz.shape[:2] == tuple(shape) and (known is display or same(known, display)):
+                return found
+        found = IdealPicture(ideal(self.scene, display, shape), display)
+        self._ideals = [(display, found), *self._ideals[:1]]
+        return found
+
+
+class IdealPicture:
+    """The picture of a scene by an ideal camera.
+
+    Args:
+        xyz: XYZ (rows, cols, 3), white Y = 1.
+        display: The display.
+    """
+
+    def __init__(self, xyz: np.ndarray, display: Display):
+        self.xyz, self._display = xyz, display
+
+    @cached_property
+    def codes(self) -> np.ndarray:
+        """Display codes 0 .. 1, clipped to the display's range, float32 (3, rows, cols)."""
+        linear = np.tensordot(np.linalg.inv(self._display.xyz_from_rgb), self.xyz, (1, 2))
+        return encode(self._display, np.clip(linear, 0, 1))
+
+    @cached_property
+    def blocks(self) -> np.ndarray:
+        """Mean XYZ of squares, see `block_means`."""
+        return block_means(np.moveaxis(self.xyz, -1, 0))
+
+
+def encode(display: Display, linear: np.ndarray) -> np.ndarray:
+    """Return display codes 0 .. 1 of linear light 0 .. 1, float32, with an error below 1e-4."""
+    steps = np.float32(CODES - 1)
+    return _code_table(display.curve)[(linear * steps + np.float32(0.5)).astype(np.uint16)]
+
+
+@lru_cache(maxsize=4)
+def _code_table(curve) -> np.ndarray:
+    """Return the codes of CODES evenly spaced values of linear light."""
+    return Display(curve=curve).encode(np.linspace(0, 1, CODES)).astype(np.float32)
+
+
+def block_means(planes: np.ndarray) -> np.ndarray:
+    """Return the means of squares of BLOCK pixels of a picture (3, rows, cols): float64 (rows, cols, 3).
+
+    Rows and columns that fill no square are left out.
+    """
+    _, rows, cols = planes.shape
+    side = min(BLOCK, rows, cols)
+    down, across = rows // side, cols // side
+    cut = planes[:, : down * side, : across * side].reshape(3, down, side, across * side)
+    lines = cut.sum(axis=2, dtype=np.float64).reshape(3, down, across, side)
+    return np.moveaxis(lines.sum(axis=3), 0, -1) / side**2
 
 
 def _open(name, source, options, folder):
@@ -117,6 +165,11 @@ def _open(name, source, options, folder):
     for key in options:
         if key not in known:
             raise UnknownName(f"option of scene {name}", key, (*known, "patch"))
+    size = options.get("size")
+    if size is not None and not (
+        isinstance(size, list | tuple) and [*map(type, size)] == [int, int]
+    ):
+        raise BadData(f"scene {name}: size = {format_value(size)}, wanted [columns, rows]")
     if "fov" in options:
         options["fov"] = _radians(name, options["fov"])
     place = source if source in CHARTS else folder / source

@@ -10,6 +10,7 @@ from gpusim.domain.short_repr import short_repr
 
 LEAST = 8  # rows
 MOST_GROUPS = 20  # of a key's values, for the main effect
+REPEATED = 3  # times that equal values occur to be a group
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,10 @@ def _main_effect(given, values):
     Equal values of the key are a group, or neighbouring ones if there are many different ones.
     """
     names = sorted(set(map(repr, given)))
-    if len(names) <= MOST_GROUPS or not all(isinstance(one, int | float) for one in given):
+    is_repeated = REPEATED * len(names) <= len(given)
+    if (is_repeated and len(names) <= MOST_GROUPS) or not all(
+        isinstance(one, int | float) for one in given
+    ):
         group = np.array([names.index(repr(one)) for one in given])
     else:
         groups = min(MOST_GROUPS, max(2, round(math.sqrt(len(values)))))

@@ -10,7 +10,7 @@ from gpusim.color.rendering import Rendering
 from gpusim.domain.camera import Camera
 
 if TYPE_CHECKING:
-    from gpusim.apps.study.scenes import StudyScene
+    from gpusim.apps.study.scenes import IdealPicture, StudyScene
     from gpusim.pipeline.loop import Loop
 
 
@@ -90,18 +90,13 @@ class Shot:
 
     @cached_property
     def shown(self) -> np.ndarray:
-        """`linear` with the exposure divided out, clipped to the display's range, float32."""
-        return np.clip(self.linear / np.float32(self.rendering.diffuser), 0, 1)
+        """`planes` with the exposure divided out, clipped to the display's range, float32."""
+        return np.clip(self.planes * np.float32(1 / self.rendering.diffuser), 0, 1)
 
     @property
-    def ideal(self) -> np.ndarray:
-        """XYZ of the scene on the display, without lens and noise (rows, cols, 3)."""
-        return self.place.ideal_on(self.camera.display, self.planes.shape[1:])[0]
-
-    @property
-    def encoded_ideal(self) -> np.ndarray:
-        """Display codes 0 .. 1 of `ideal`, clipped to the display's range, float32."""
-        return self.place.ideal_on(self.camera.display, self.planes.shape[1:])[1]
+    def ideal(self) -> "IdealPicture":
+        """The picture of the scene on the display, without lens and noise."""
+        return self.place.ideal_on(self.camera.display, self.planes.shape[1:])
 
     def channels_of_patch(self) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Yield, for each place of the mosaic, raw values above the black level and their noise-free shape.

@@ -8,7 +8,7 @@ import numpy as np
 
 WIDTH, HEIGHT = 300, 200  # [pixel] of a plot
 LEFT, RIGHT, TOP, BOTTOM = 52, 10, 10, 36  # [pixel] around its axes
-BINS = 30
+MOST_BINS = 30
 MOST_POINTS = 600  # of a scatter plot; more are thinned evenly
 TICKS = 4
 
@@ -22,7 +22,8 @@ def histogram(values: np.ndarray, label: str, limits: Sequence[float] = ()) -> s
         limits: Values that are marked by a line.
     """
     low, high = _ends([*values, *limits])
-    counts, edges = np.histogram(values, BINS, (low, high))
+    bins = int(min(max(2 * math.sqrt(len(values)), 8), MOST_BINS))
+    counts, edges = np.histogram(values, bins, (low, high))
     across, up = _axis(low, high, LEFT, WIDTH - RIGHT), _axis(0, counts.max(), HEIGHT - BOTTOM, TOP)
     bars = "".join(
         f'<rect x="{across(start):.1f}" y="{up(count):.1f}" width="{across(end) - across(start):.1f}" '
@@ -34,7 +35,7 @@ def histogram(values: np.ndarray, label: str, limits: Sequence[float] = ()) -> s
     return _plot(
         f"{len(values)} values of {label}",
         f'<g class="bars">{bars}</g>{lines}',
-        _ticks_across(low, high, across, label) + _ticks_up(0, float(counts.max()), up, "rows"),
+        _ticks_across(low, high, across, label) + _ticks_up(0, float(counts.max()), up, "rows", 1),
     )
 
 
@@ -100,10 +101,11 @@ def _axis(low, high, first, last):
     return lambda value: first + (value - low) * scale
 
 
-def _round_numbers(low, high):
-    """Return a few round numbers between two ends."""
+def _round_numbers(low, high, least=0.0):
+    """Return a few round numbers between two ends. least: step between them."""
     step = 10 ** math.floor(math.log10((high - low) / TICKS))
     step *= next(k for k in (1, 2, 5, 10) if (high - low) / (step * k) <= TICKS)
+    step = max(step, least)
     return [step * k for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
 
 
@@ -114,9 +116,10 @@ def _ticks_across(low, high, across, label):
     return marks + _text((LEFT + WIDTH - RIGHT) / 2, HEIGHT - 5, label)
 
 
-def _ticks_up(low, high, up, label):
+def _ticks_up(low, high, up, label, least=0.0):
     marks = "".join(
-        _text(LEFT - 4, up(one) + 4, f"{one:.6g}", "end") for one in _round_numbers(low, high)
+        _text(LEFT - 4, up(one) + 4, f"{one:.6g}", "end")
+        for one in _round_numbers(low, high, least)
     )
     middle = (TOP + HEIGHT - BOTTOM) / 2
     return marks + (

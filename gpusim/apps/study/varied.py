@@ -9,6 +9,7 @@ from typing import Any
 from gpusim.apps.study.sampling import Sampling
 from gpusim.domain.camera import Camera
 from gpusim.domain.camera_keys import SECTIONS
+from gpusim.domain.changes import place_key
 from gpusim.domain.errors import BadData, GpusimError, UnknownName, format_value
 from gpusim.domain.short_repr import short_repr
 from gpusim.io.camera.cameras import camera_names, camera_table, open_camera
@@ -62,7 +63,14 @@ class Varied:
 
     def check(self) -> None:
         """Raise an error of GpusimError for a key that cameras do not have, or a value that they refuse by itself."""
+        keys: dict[tuple[str, str], str] = {}  # the varied key of each field
         for key, one in self.sampling.keys.items():
+            item = _ITEM.fullmatch(key)
+            section, name = place_key(key if item is None else item[1])
+            field = section, SECTIONS[section][name][0]
+            if field in keys and not (item and _ITEM.fullmatch(keys[field])):
+                raise BadData(f'vary "{key}" and "{keys[field]}" set the same; leave one out')
+            keys[field] = key
             for value in one.typical:
                 try:
                     self._with({key: value})
