@@ -56,7 +56,7 @@ def study(request: StudyRequest) -> int:
     """
     from tqdm import tqdm
 
-    from gpusim.apps.study.study import PAGE, TABLE, run_study
+    from gpusim.apps.study.run import PAGE, TABLE, run_study
 
     def show(count, there):
         return tqdm(total=count, initial=there, unit="row", disable=None)

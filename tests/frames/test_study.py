@@ -48,7 +48,7 @@ SMALL = {
 @pytest.fixture
 def design(tmp_path):
     path = tmp_path / "design.toml"
-    path.write_text(FILE.format(count=4))
+    path.write_text(FILE.format(count=3))
     return path
 
 
@@ -61,12 +61,17 @@ def test_rows_are_functions_of_their_numbers(design, tmp_path, capsys):
     asked = ["study", str(design), "-o", str(tmp_path / "out"), "--device", "opencl"]
     assert main(asked) == 0
     said = capsys.readouterr()
-    assert "4 cameras, 8 rows" in said.out and "all requirements:" in said.out
+    assert "3 cameras, 6 rows" in said.out and "all requirements:" in said.out
     rows = [*csv.DictReader((tmp_path / "out" / "table.csv").open())]
     made = gs.study(design, device="opencl")
     for row, other in zip(rows, made.rows, strict=True):
         for name, value in other.items():
-            assert row[name] == {None: "", True: "true", False: "false"}.get(value, str(value))
+            known = (
+                {None: "", True: "true", False: "false"}
+                if not isinstance(value, int) or isinstance(value, bool)
+                else {}
+            )
+            assert row[name] == known.get(value, str(value))
     numbers = np.array([5, 0, 3])
     batch = StudyRows(design, device="opencl")({"id": numbers})
     for name in ("mtf50", "snr", "de", "cpsnr", "optics.defocus_um"):
@@ -77,7 +82,7 @@ def test_rows_are_functions_of_their_numbers(design, tmp_path, capsys):
     before = (tmp_path / "out" / "rows" / "000000000.jsonl").stat().st_mtime_ns
     assert main(asked) == 0  # nothing is computed again
     assert (tmp_path / "out" / "rows" / "000000000.jsonl").stat().st_mtime_ns == before
-    design.write_text(FILE.format(count=5))
+    design.write_text(FILE.format(count=4))
     assert main(asked) == 2
     assert "a run with other study" in capsys.readouterr().err
 
@@ -181,23 +186,22 @@ def test_plans_are_shared_by_cameras_of_one_lens(monkeypatch):
 
     planned, plan = [], Simulator.plan
     monkeypatch.setattr(Simulator, "plan", lambda *asked: planned.append(1) or plan(*asked))
-    made = gs.study(SMALL)
+    own = {"sum": {"function": lambda shot: shot.raw.sum()}}
+    made = gs.study(SMALL | {"measures": own})
     assert len(made.rows) == 4 and len(planned) == 2
     # as computed by a simulator of each camera
-    for row in made.rows:
+    for row in made.rows[1:3]:
         camera = gs.open_camera("machine-vision").with_(
             exposure_time_ms=10, read_e=row["noise.read_e"], f_number=row["optics.f_number"]
         )
         loop = gs.Simulator(camera).loop(gs.chart("flat", size=(48, 32)))
         raw = np.array(loop.simulator.device.numpy(loop.raw(seed=0, first=row["camera"])))
-        shots = gs.study(SMALL | {"measures": {"sum": {"function": lambda shot: shot.raw.sum()}}})
-        assert shots.rows[row["camera"]]["sum"] == raw.sum()
-        break
+        assert row["sum"] == raw.sum()
 
 
+@pytest.mark.slow
 def test_shards_make_one_table(design, tmp_path, capsys):
-    design.write_text(FILE.format(count=16).replace("cpsnr", "#").replace("mtf50 ", "# "))
-    design.write_text(design.read_text().replace('sharp = "mtf50 >= 0.2"', ""))
+    design.write_text(FILE.format(count=16))
     asked = ["study", str(design), "--device", "opencl", "--workers", "1", "-o"]
     for shard in ("1/2", "0/2"):
         assert main([*asked, str(tmp_path / "parts"), "--shard", shard]) == 0
@@ -209,6 +213,7 @@ def test_shards_make_one_table(design, tmp_path, capsys):
     assert "up to 2 shards" in capsys.readouterr().err
 
 
+@pytest.mark.slow  # pyarrow is imported
 def test_a_parquet_table(tmp_path):
     parquet = pytest.importorskip("pyarrow.parquet", reason="pyarrow is not installed")
     made = gs.study(SMALL, tmp_path / "out", table="parquet")

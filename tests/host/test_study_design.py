@@ -157,7 +157,7 @@ def test_one_key_at_a_time():
     keys = {"a": Distribution.parse("a", {"uniform": [0, 10]})}
     keys["b"] = Distribution.parse("b", {"grid": [1, 2, 3]})
     alone = Sampling.parse({"method": "one-at-a-time", "count": 3}, keys)
-    found = [tuple(alone.draw(k).values()) for k in range(len(alone))]
+    found = [tuple(np.round([*alone.draw(k).values()], 9)) for k in range(len(alone))]
     assert found == [(5, 2), (0.5, 2), (5, 2), (9.5, 2), (5, 1), (5, 2), (5, 3)]
 
 
@@ -188,18 +188,19 @@ def test_a_requirement_judges_its_own_rows():
 def test_sensitivities_of_a_known_model():
     """y = 3 a - 4 b + noise of 1, all of unit variance, and a parabola; ranks by SciPy."""
     random = np.random.default_rng(2)
-    a, b, c = random.normal(size=(3, 20000))
-    y = 3 * a - 4 * b + random.normal(size=20000)
+    a, b, c = random.normal(size=(3, 4000))
+    y = 3 * a - 4 * b + random.normal(size=4000)
     found = find_sensitivities("y", "s", {"a": a.tolist(), "b": b.tolist(), "c": c.tolist()}, y)
     expected = np.array([3, -4, 0]) / math.sqrt(26)
     for one, coefficient, values in zip(found, expected, (a, b, c), strict=True):
-        assert one.regression == pytest.approx(coefficient, abs=4 / 20000**0.5)
+        assert one.regression == pytest.approx(coefficient, abs=4 / 4000**0.5)
         assert one.rank == pytest.approx(scipy.stats.spearmanr(values, y).statistic, abs=1e-9)
         # bins of 1 / 20 of the values leave about 1 % of a normal key's variance inside them
-        assert one.main == pytest.approx(coefficient**2, abs=0.02)
+        assert one.main == pytest.approx(coefficient**2, abs=0.05)
         assert one.explained == pytest.approx(25 / 26, abs=0.01)
+    # of a parabola no line tells anything; the outer two bins of a hold 1 / 10 of all values, and spread most
     bent = find_sensitivities("y", "s", {"a": a.tolist()}, a**2)[0]
-    assert abs(bent.regression) < 0.1 and bent.main > 0.9
+    assert abs(bent.regression) < 0.1 and bent.main > 0.8
 
 
 def test_sensitivities_to_names_and_without_variation():

@@ -5,7 +5,7 @@ from os import PathLike
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from gpusim.apps.study.study import Study
+    from gpusim.apps.study.run import Study
 
 
 def study(
@@ -40,6 +40,6 @@ def study(
         OutOfRange: A number is out of range.
         UnknownName: A key, a measure, a scene, a camera or a device is unknown.
     """
-    from gpusim.apps.study.study import run_study
+    from gpusim.apps.study.run import run_study
 
     return run_study(design, out, device, workers, shard, table)

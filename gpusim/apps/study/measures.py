@@ -48,6 +48,12 @@ def measure_snr(shot: Shot) -> float:
 
 def measure_mtf50(shot: Shot) -> float:
     """Return the frequency at which the contrast of the edge's luminance is one half [cycle/pixel]."""
+    if "mtf50" not in shot.kept:
+        shot.kept["mtf50"] = _edge_frequency(shot)
+    return shot.kept["mtf50"]
+
+
+def _edge_frequency(shot):
     rows, cols = shot.planes.shape[1:]
     window = shot.place.patch
     if window is None:

@@ -11,7 +11,7 @@ from gpusim.apps.study.requirements import CONFIDENCE
 from gpusim.apps.study.svg import histogram, scatter
 
 if TYPE_CHECKING:
-    from gpusim.apps.study.study import Study
+    from gpusim.apps.study.run import Study
 
 MOST_ERRORS = 20  # rows with errors that are listed
 MOST_KEYS = 12  # of which scatter plots are drawn for each measure

@@ -11,6 +11,7 @@ from gpusim.apps.study.shot import Shot
 from gpusim.apps.video.pipeline import Clock, ahead
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import GpusimError
+from gpusim.optics.blas import one_core
 from gpusim.pipeline.cache import same
 from gpusim.pipeline.loop import Loop
 from gpusim.pipeline.planning import plan_inputs
@@ -65,7 +66,9 @@ class Rows:
         """
         with closing(ahead(map(self._plan, numbers), AHEAD)) as planned:
             for one in planned:
-                yield self._row(one)
+                with one_core():  # other threads plan, and other processes work
+                    row = self._row(one)
+                yield row
 
     def _plan(self, row) -> _Planned:
         """Return a row's camera and plan."""

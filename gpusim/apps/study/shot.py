@@ -27,6 +27,7 @@ class Shot:
     def __init__(self, loop: "Loop", place: "StudyScene", seed: int, number: int):
         self._loop, self.place, self.seed, self.number = loop, place, seed, number
         self._exposure = loop.expose()
+        self.kept: dict[str, float] = {}  # numbers that several measures use
 
     def __repr__(self):
         return f"Shot({self.place.name!r} by {self.camera!r})"
