@@ -63,6 +63,7 @@ class InTurn:
         "measured_psf",
         "hdr_burst",
         "figure_8",
+        "tolerances",
         "figure_12",
         "figure_14",
         "emva1288",

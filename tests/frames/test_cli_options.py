@@ -40,6 +40,12 @@ SEVERAL = f"in_1.png in_2.png in_3.png {ON}"
 PLANES = f"planes.npy {ON} --wavelengths 450,550,650 --exposure .01"
 SPACE = f"depth.exr {ON}"
 VIEWS = "views.npz --device numpy"
+STUDY = """camera = "phone"
+sampling = {method = "latin", count = 25}
+vary = {"noise.read_e" = {uniform = [1, 5]}}
+scenes = {flat = {scene = "flat", size = [8, 8]}}
+measures = ["dynamic_range"]
+"""
 PARTS = f"parts.exr {ON} --exposure 1/60"
 
 # Options of a scene, its camera and the planner: a name, the arguments before it, and its own
@@ -160,6 +166,13 @@ ROWS = {
         "in_shard": (f"{CHART} --each 3 -o out", "--in-shard 2"),
         "shard": (f"{CHART} --each 3 --in-shard 2 -o out", "--shard 1/2"),
         "jobs": (f"{CHART} --each 3 --in-shard 2 -o out", "--jobs 2"),
+    },
+    "study": {
+        "out": ("study.toml --device numpy -o out", "-o other"),
+        "device": ("study.toml --device numpy -o out", "--device warp:cpu"),
+        "workers": ("study.toml --device numpy -o out", "--workers 2"),
+        "shard": ("study.toml --device numpy -o out", "--shard 1/2"),
+        "table": ("study.toml --device numpy -o out", "--table parquet"),
     },
     "preview": SCENE
     | MOVING
@@ -311,6 +324,7 @@ def inputs(tmp_path_factory):
     ):
         Image.fromarray(picture).save(folder / f"{name}.png")
     (folder / "dual.toml").write_text('[sensor]\ndual = {split = "left-right"}\n')
+    (folder / "study.toml").write_text(STUDY)
     (folder / "stored.json").write_text(json.dumps(STORED))
     compared = *made_results(10, 3, sides=3), made_results(10, 3, change={1: 0.1})[1]
     compared[2]["rows"][0]["hash"] = "another"
@@ -386,7 +400,7 @@ def outcome(inputs, tmp_path, monkeypatch, capsys):
 
 def content(path):
     """Digest of a file: of the figures of a report without times, of nothing of a manifest."""
-    if path.name in ("video.json", "out_video.json", "pairs.json"):
+    if path.name in ("video.json", "out_video.json", "pairs.json", "study.json"):
         return ""
     if path.name in ("report.json", "plan.json"):
         return json.dumps(untimed(json.loads(path.read_text())))
@@ -411,6 +425,7 @@ def record(monkeypatch):
     import gpusim.apps.network.pictures
     import gpusim.apps.pairs.processes
     import gpusim.apps.preview.mount
+    import gpusim.apps.study.run
     import gpusim.apps.warmup
     import gpusim.backends.probe
     import gpusim.bench.cold
@@ -538,6 +553,14 @@ def record(monkeypatch):
         return share(starts, missing, jobs, report)
 
     monkeypatch.setattr(gpusim.apps.pairs.processes, "share_shards", shared)
+
+    def work(starts, pieces, jobs, report):  # in this process, whose files are the same
+        print(jobs, "jobs")
+        worker = starts[0](1)
+        for piece in pieces:
+            worker(piece, report)
+
+    monkeypatch.setattr(gpusim.apps.study.run, "share_work", work)
     monkeypatch.setattr(nicegui.ui, "run", lambda **options: print(options))
     monkeypatch.setattr(nicegui.app, "add_middleware", lambda *_, **options: print(options))
 

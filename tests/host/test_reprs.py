@@ -98,6 +98,16 @@ def objects():
         gs.LensletGrid(10.0, 0.0, (20.0, 20.0)),
         gs.LensletSamples((50, 60), 14e-6, (0.0, 0.0), (500, 600)),
         sfr(edge),
+        gs.study(
+            {
+                "camera": "phone",
+                "sampling": {"method": "grid"},
+                "vary": {"read_e": {"grid": [1]}},
+                "scenes": {"flat": {"scene": "flat", "size": [8, 8]}},
+                "measures": ["dynamic_range"],
+            },
+            device="numpy",
+        ),
     ]
 
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Iterator
 from html import escape
+from statistics import NormalDist
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -135,7 +136,8 @@ def _sensitivities(made) -> Iterator[str]:
         yield (
             "<p class='quiet'>Regression: standard deviations of the measure per standard deviation of the key. "
             "Rank: correlation of the ranks (Spearman). Both are near 0 if a key has its best value in the middle. "
-            "Main effect: part of the measure's variance that the key causes by itself, linear or not.</p>"
+            "Main effect: part of the measure's variance that the key causes by itself, linear or not. "
+            f"{_chance(len(made.design.sampling))}</p>"
         )
         heads = ("measure", "key", "regression", "rank", "main effect", "R² of the regression")
         rows = [
@@ -157,6 +159,17 @@ def _sensitivities(made) -> Iterator[str]:
             places = [row[key] for row, is_known in zip(own, known, strict=True) if is_known]
             yield scatter(places, values[known], key, _label(one, ""), _limits(made, one, scene))
         yield "</div>"
+
+
+def _chance(count):
+    """Return in words how large the figures of a key without effect are."""
+    if count < 3:
+        return ""
+    share = NormalDist().inv_cdf((1 + CONFIDENCE) / 2) / math.sqrt(count - 1)
+    return (
+        f"Regression and rank of a key without effect are within ± {share:.2f} in {100 * CONFIDENCE:g} % of studies "
+        f"of {count} cameras."
+    )
 
 
 def _errors(made) -> Iterator[str]:
