@@ -1,6 +1,7 @@
 """`gpusim study`: many cameras in several scenes, with measures, requirements and sensitivities."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from gpusim.apps.video.segments import Shard
 from gpusim.cli.options import DEVICE_HELP, Options, option, whole
@@ -73,9 +74,10 @@ def study(request: StudyRequest) -> int:
     if made.missing:
         print(f"{len(made.rows)} of {len(made.design)} rows; the others are of other shards")
         return 0
+    folder = Path(request.out)
     for line in describe(made):
         print(line)
-    print(f"{made.folder / f'{TABLE}.{request.table}'}, {made.folder / PAGE}")
+    print(f"{made.folder / f'{TABLE}.{request.table}'}, {folder / PAGE}")
     return 0
 
 

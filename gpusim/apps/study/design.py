@@ -86,8 +86,9 @@ class Design:
     def columns(self) -> list[str]:
         """Names of the columns of the table."""
         *first, last = COLUMNS
-        middle = (one.name for one in (*self.measures, *self.requirements))
-        return [*first, *self.sampling.keys, *middle, last]
+        measures = (one.name for one in self.measures)
+        requirements = (one.name for one in self.requirements)
+        return [*first, *self.sampling.keys, *measures, *requirements, last]
 
     def camera(self, number: int) -> Camera:
         """Return a camera. Raises an error of GpusimError if its values are refused."""

@@ -96,8 +96,8 @@ def measure_cpsnr(shot: Shot) -> float:
         slice(MARGIN, count - MARGIN) if count > 3 * MARGIN else slice(None)
         for count in mine.shape[1:]
     ]
-    pair = (np.moveaxis(one[:, *cut], 0, -1) for one in (mine, true))
-    return cpsnr(*pair, border=0)
+    mine, true = (np.moveaxis(one[:, *cut], 0, -1) for one in (mine, true))
+    return cpsnr(mine, true, border=0)
 
 
 def measure_dynamic_range(shot: Shot) -> float:

@@ -127,7 +127,7 @@ def _sensitivities(made) -> Iterator[str]:
             "<p class='quiet'>Slope: change of the measure per unit of the key, with all other keys in the "
             "middle of their range.</p>"
         )
-        heads = ("measure", "key", "slope")
+        heads = ["measure", "key", "slope"]
         rows = [
             [f"{one.measure} in {one.scene}", one.key, _figure(one.slope, "{:.4g}")]
             for one in made.sensitivities
@@ -139,7 +139,7 @@ def _sensitivities(made) -> Iterator[str]:
             "Main effect: part of the measure's variance that the key causes by itself, linear or not. "
             f"{_chance(len(made.design.sampling))}</p>"
         )
-        heads = ("measure", "key", "regression", "rank", "main effect", "R² of the regression")
+        heads = ["measure", "key", "regression", "rank", "main effect", "R² of the regression"]
         rows = [
             [
                 f"{one.measure} in {one.scene}",

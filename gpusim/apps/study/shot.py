@@ -116,10 +116,9 @@ class Shot:
             for row in range(high):
                 for col in range(wide):
                     own = part[row::high, col::wide]
-                    light = None if true is None else true[row::high, col::wide]
+                    light = np.ones(own.shape) if true is None else true[row::high, col::wide]
                     if own.size > 1:
-                        has_light = light is not None and light.mean() > 0
-                        yield own, light if has_light else np.ones(own.shape)
+                        yield own, light if light.mean() > 0 else np.ones(own.shape)
 
     def _layers(self, raw):
         """Return raw values with layers of stacked pixels on a first axis."""

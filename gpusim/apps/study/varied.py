@@ -95,7 +95,7 @@ class Varied:
 
 def _flatten(table) -> dict[str, Any]:
     """Return keys such as "optics.f_number" of a table with sections of keys, or with such keys."""
-    found = {}
+    found: dict[str, Any] = {}
     for key, value in table.items():
         if isinstance(value, Mapping) and key in SECTIONS:
             found |= {f"{key}.{name}": one for name, one in value.items()}
