@@ -77,7 +77,8 @@ def study(request: StudyRequest) -> int:
     folder = Path(request.out)
     for line in describe(made):
         print(line)
-    print(f"{made.folder / f'{TABLE}.{request.table}'}, {folder / PAGE}")
+    table = folder / f"{TABLE}.{request.table}"
+    print(f"{table}, {folder / PAGE}")
     return 0
 
 
