@@ -115,7 +115,7 @@ def dynamic_range(sensor: Sensor, *, seconds: float = 0.0) -> float:
     return float(20 * np.log10(room / (noise + 0.5)))
 
 
-def _dark_and_room(sensor: Sensor, seconds: Any, name: str) -> tuple[float, float]:
+def _dark_and_room(sensor: Sensor, seconds: float, name: str) -> tuple[float, float]:
     """Return the electrons of dark current, and the capacity that they leave. Raises OutOfRange, BadData."""
     if not (isinstance(seconds, Real) and 0 <= seconds < np.inf):
         raise OutOfRange("seconds", f"{seconds} s", "0 <= seconds < inf")
