@@ -117,7 +117,12 @@ class Rows:
         return {name: row.get(name) for name in design.columns}
 
     def _shoot(self, scene, camera, plan, seed, number) -> Shot:
-        """Return the picture of a camera. Frames are numbered as the cameras, so their noise differs."""
+        """Return the picture of a camera.
+
+        In a random sample each camera has noise of its own: its frame has its number. Cameras of a grid are compared
+        in the same noise.
+        """
+        number = number if self.design.sampling.is_random else 0
         with self.clock.of("computing"):
             if self._simulator is None or self._simulator[0] is not camera:
                 self._simulator = camera, self.simulator.update(camera)
