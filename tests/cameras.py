@@ -3,10 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 import gpusim as gs
 
 PHONE = gs.open_camera("phone")
+FIRST = ("figure8", "machine-vision", "mono", "phone")  # for quick tests of every built-in camera
+LIBRARY = [
+    pytest.param(name, marks=() if name in FIRST else pytest.mark.slow)
+    for name in gs.camera_names()
+]
 
 
 def camera_with(base=PHONE, **parts):

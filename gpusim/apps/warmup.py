@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gpusim.domain.scene import Scene
 
 SCENES = ("chart", "photograph", "cube", "depth")
+CAMERAS = ("phone", "machine-vision", "figure8", "mono")  # others share nearly all of their kernels
 # Kernels run in groups of 128, 8 and 1 on CPUs: each number of columns and pixels takes them all
 COLS, ROWS = 777, 517
 MOST = 16  # processes

@@ -35,7 +35,7 @@ SCENE_HELP = (
     ".jpg or .tif"
 )
 SCENES_HELP = f"{SCENE_HELP}; several of them, or a folder of numbered files: a frame of each"
-CAMERA_HELP = "phone, machine-vision, figure8, mono, or a .toml file"
+CAMERA_HELP = "built-in camera, such as phone, mono or x-trans, or a .toml file"
 DEVELOPING = ("demosaic", "denoise", "white_balance", "look")  # controls of the development
 CONTROLS = ("exposure", "iso", "f_number", "focus", "scaling", *DEVELOPING)  # of a camera
 SCENE_OPTIONS = (

@@ -15,7 +15,7 @@ class WarmupRequest(Options):
     camera: list[str] | tuple = option(
         default=(),
         action="append",
-        help=f"{CAMERA_HELP}; may be repeated (default: all of them)",
+        help=f"{CAMERA_HELP}; may be repeated (default: phone, machine-vision, figure8, mono)",
     )
     tolerance: list[str] | tuple = option(
         default=(),
@@ -39,14 +39,14 @@ def warmup(request: WarmupRequest) -> int:
     """
     import time
 
-    from gpusim.apps.warmup import EXACT, SCENES, warm_up
+    from gpusim.apps.warmup import CAMERAS, EXACT, SCENES, warm_up
     from gpusim.backends import open_device
     from gpusim.domain.account import Tolerance
     from gpusim.domain.progress import announced
-    from gpusim.io.camera.cameras import camera_names, open_camera
+    from gpusim.io.camera.cameras import open_camera
 
     device = open_device(request.device).name
-    cameras = request.camera or camera_names()
+    cameras = request.camera or CAMERAS
     tolerances = request.tolerance or (EXACT, "video")
     for camera in cameras:
         open_camera(camera)

@@ -61,7 +61,7 @@ FOCUSED = camera_with(
 )
 FIXED = {"sensor": {"exposure_time": 0.01}}
 FEATURES = {  # name -> camera, kind of scene, options of the Simulator
-    **{f"camera {name}": (gs.open_camera(name), "materials", {}) for name in gs.camera_names()},
+    **{f"camera {name}": (gs.open_camera(name), "materials", {}) for name in cameras.FIRST},
     **{
         f"exposed by {method}": (
             camera_with(sensor={"auto_exposure": gs.AutoExposure(method)}),

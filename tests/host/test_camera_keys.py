@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cameras import LIBRARY
 from test_noise_profile import dng
 
 import gpusim as gs
@@ -215,9 +216,7 @@ def test_a_file_and_with_do_the_same(section, key, folder):
 # ---- named mosaics
 
 
-@pytest.mark.parametrize(
-    "base", gs.camera_names() if hasattr(gs, "camera_names") else ["phone", "mono"]
-)
+@pytest.mark.parametrize("base", LIBRARY)
 @pytest.mark.parametrize("name", MOSAICS)
 def test_named_mosaics_run_on_every_built_in_camera(name, base, tmp_path):
     path = tmp_path / "a.toml"

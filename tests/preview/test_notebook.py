@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cameras import FIRST
 from PIL import Image
 
 import gpusim as gs
@@ -19,6 +20,7 @@ from gpusim.apps.preview.panels import DEFAULTS, PANELS
 from gpusim.apps.preview.producer import Picture
 from gpusim.apps.preview.state import State
 from gpusim.domain.errors import BadData, GpusimError
+from gpusim.domain.mosaics import MOSAICS
 from gpusim.io.camera.cameras import camera_names, camera_table
 
 SCENE = gs.chart("colorchecker", size=(96, 64))
@@ -355,15 +357,18 @@ def test_a_widget_that_is_closed_makes_no_more_pictures(faked):
     assert len(faked._producer.made) == made
 
 
-def test_a_camera_object_is_changed_as_its_file_is():
+@pytest.mark.parametrize("names", [FIRST, pytest.param(camera_names(), marks=pytest.mark.slow)])
+def test_a_camera_object_is_changed_as_its_file_is(names):
     """Every control, one after the other; a camera that is not changed is the object's own, bit for bit."""
     random = np.random.default_rng(2)
-    for name in camera_names():
+    for name in names:
         camera, table = gs.open_camera(name), camera_table(name)[1]
         file, given = State(name), Given(camera.name, given=camera)
         assert repr(given.build()) == repr(camera)
         for control in CONTROLS.values():
             own, written = given.value(control, table_of(camera)), file.value(control, table)
+            if control.key == "cfa" and isinstance(written, str):  # an object has its rows
+                written = list(MOSAICS[written])
             # curves and files are objects without a name there
             assert own == written or (own is None and control.is_text), control.name
             value = (
