@@ -1,0 +1,105 @@
+"""Verdicts on the differences between real and simulated frames."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import NormalDist
+
+from gpusim.domain.short_repr import short_repr
+from gpusim.fit.noise_statistics import Statistic
+
+CONFIDENCE = 0.95  # of all intervals together
+AGREES, DIFFERS, UNKNOWN = "agrees", "differs", "cannot be judged"
+PERCENT = "%"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A statistic of a group of frames, its interval and the verdict.
+
+    Args:
+        group: The frames, in words.
+        statistic: Name of the statistic.
+        difference: Of real and simulated.
+        low, high: Ends of its interval. All intervals together hold with 95 %.
+        within: Difference that counts as agreement.
+        state: "agrees", "differs" or "cannot be judged".
+        unit: Unit of the numbers; "%" for relative differences, which are fractions here.
+        real, simulated: The two values, or None.
+    """
+
+    group: str
+    statistic: str
+    difference: float
+    low: float
+    high: float
+    within: float
+    state: str
+    unit: str = ""
+    real: float | None = None
+    simulated: float | None = None
+
+    __repr__ = short_repr
+
+    @property
+    def words(self) -> str:
+        """The verdict in words, with its figure."""
+        most = max(abs(self.low), abs(self.high))
+        if self.state == AGREES:
+            return f"agrees within {self._shown(most)}"
+        if self.state == DIFFERS:
+            ends = f"{self._shown(self.low)} .. {self._shown(self.high)}"
+            return f"differs by {self._shown(self.difference)} ({ends})"
+        return (
+            f"cannot be judged: the interval reaches {self._shown(most)}, agreement is "
+            f"{self._shown(self.within)}; take more frames"
+        )
+
+    def _shown(self, value):
+        if self.unit == PERCENT:
+            return f"{100 * value:.2g} %"
+        return f"{value:.2g} {self.unit}".rstrip()
+
+
+def judge(groups: Sequence[tuple[str, Sequence[Statistic]]]) -> list[Finding]:
+    """Return the findings of statistics by group.
+
+    A statistic agrees if its interval lies within the agreed difference; it differs if the interval
+    excludes 0 and the difference is larger than agreed. Otherwise it cannot be judged: there are
+    too few frames. Intervals are widened for their number (Bonferroni).
+
+    Args:
+        groups: Words and statistics of each group.
+
+    Returns:
+        The findings.
+    """
+    number = sum(one.chances for _, statistics in groups for one in statistics)
+    z = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / (2 * max(number, 1)))
+    return [_find(words, one, z) for words, statistics in groups for one in statistics]
+
+
+def _find(words, one, z):
+    low, high = one.difference - z * one.error, one.difference + z * one.error
+    if one.is_distance:  # 0 is its least value, chance makes estimates smaller
+        low, high = max(low, 0.0), max(high, 0.0)
+    if not (math.isfinite(low) and math.isfinite(high)):
+        state = UNKNOWN
+    elif max(abs(low), abs(high)) <= one.within:
+        state = AGREES
+    elif (low > 0 or high < 0) and abs(one.difference) > one.within:
+        state = DIFFERS
+    else:
+        state = UNKNOWN
+    return Finding(
+        words,
+        one.name,
+        one.difference,
+        low,
+        high,
+        one.within,
+        state,
+        one.unit,
+        one.real,
+        one.simulated,
+    )
