@@ -74,6 +74,7 @@ _NAMES = {
     "domain.spectrum": ("Spectrum",),
     "domain.view_images": ("ViewImages",),
     "fit": ("fit",),
+    "fit.compare": ("Comparison", "compare"),
     "fit.estimate": ("Estimate",),
     "fit.fitting": ("Fit",),
     "io.camera.calibration": ("read_calibration",),

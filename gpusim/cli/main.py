@@ -24,6 +24,7 @@ _PLACES = {
     "refocus": ("refocus", "RefocusRequest", "refocus", "TEXTS"),
     "train-l3": ("train_l3", "TrainRequest", "train_l3", "TEXTS"),
     "train-network": ("train_network", "TrainNetworkRequest", "train_network", "TEXTS"),
+    "compare": ("compare", "CompareCameraRequest", "compare", "TEXTS"),
     "verify": ("judges", "VerifyRequest", "verify", "VERIFY"),
     "bench run": ("bench_run", "RunRequest", "run", "TEXTS"),
     "bench scaling": ("bench_scaling", "ScalingRequest", "scaling", "TEXTS"),
@@ -68,8 +69,9 @@ def main(argv: list[str] | None = None) -> int:
 
     Returns:
         The exit status: 0, 1 (a verification failed, a tolerance is not met, a row of a benchmark is
-            slower, or a fit does not explain its frames), 2 (wrong input, reported in one line), 3 (a
-            tolerance that cannot be judged) or 125 (a comparison of benchmarks that cannot be judged).
+            slower, a fit does not explain its frames, or a camera differs from held-out frames), 2 (wrong
+            input, reported in one line), 3 (a tolerance or a comparison with held-out frames that cannot
+            be judged) or 125 (a comparison of benchmarks that cannot be judged).
     """
     argv = sys.argv[1:] if argv is None else argv
     if argv[:1] == ["bench"]:

@@ -95,7 +95,8 @@ def compare(
     Args:
         camera: The camera, its name or its file.
         held_out: Raw files or RawFrames; their content tells darks from flats.
-        darks, flats: Frames that are known to be dark, or evenly lit.
+        darks: Frames that are known to be dark.
+        flats: Frames that are known to be evenly lit.
         edges: Frames of one slanted edge: MTF.
         charts: Frames that a ColorChecker fills as the chart "colorchecker" does: colours.
         shadings: Even light through the lens, whole frames: shading.

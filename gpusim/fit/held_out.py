@@ -11,14 +11,19 @@ import numpy as np
 from gpusim.backends import Device
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, OutOfRange
-from gpusim.domain.mosaics import shortest_period
+from gpusim.domain.mosaics import mosaic, shortest_period
 from gpusim.domain.progress import announced
 from gpusim.domain.short_repr import short_repr
+from gpusim.fit.fitting import _find_shots
 from gpusim.fit.noise_sums import light_at, smooth_light
-from gpusim.fit.shots import Shot
-from gpusim.fit.sorting import Summary, check_same_camera, group_darks, group_flats, name_kinds
-from gpusim.fit.sorting import summarise
-from gpusim.io.raw.raw_files import count_frames
+from gpusim.fit.sorting import (
+    Summary,
+    check_same_camera,
+    group_darks,
+    group_flats,
+    name_kinds,
+    summarise,
+)
 from gpusim.io.raw.raw_frame import RawFrame
 from gpusim.pipeline.readout import Readout
 
@@ -122,13 +127,18 @@ def shots_of(frames: Any, kind: str = "", **settings: Any) -> list[Any]:
     found: list[Any] = []
     for number, one in enumerate(frames):
         if isinstance(one, RawFrame):
-            found.append(Given(replace(one, **settings), kind, number))
+            found.append(Given(replace(one, **_mosaic_of(settings)), kind, number))
         elif isinstance(one, str | PathLike):
-            path = Path(one)
-            found += [Shot(path, k, kind, settings) for k in range(count_frames(path))]
+            found += _find_shots(one, kind, settings)
         else:
             raise BadData(f"held-out frame: {type(one).__name__}, wanted a file or a RawFrame")
     return found
+
+
+def _mosaic_of(settings):
+    """Return settings with a mosaic's name replaced by its rows. Raises UnknownName."""
+    cfa = settings.get("cfa")
+    return settings | {"cfa": mosaic(cfa)} if isinstance(cfa, str) else settings
 
 
 def group_frames(shots: Sequence[Any], camera: Camera) -> HeldOut:

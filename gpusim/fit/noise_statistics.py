@@ -1,5 +1,6 @@
 """Noise of two stacks of frames side by side: differences of statistics with bootstrap intervals."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -24,6 +25,7 @@ class Statistic:
         unit: "" or the unit of the difference; "%" shows it in percent.
         chances: Number of differences of which this is the largest.
         is_distance: Whether it cannot be below 0, as a divergence.
+        freedom: Degrees of freedom of the standard error.
         real, simulated: The two values, for tables.
     """
 
@@ -34,6 +36,7 @@ class Statistic:
     unit: str = ""
     chances: int = 1
     is_distance: bool = False
+    freedom: float = math.inf
     real: float | None = None
     simulated: float | None = None
 
@@ -49,7 +52,8 @@ def noise_statistics(
     """Compare the noise of two stacks at equal signals.
 
     Args:
-        real, simulated: Sums of the stacks.
+        real: Sums of the real frames.
+        simulated: Sums of the simulated frames.
         channels: Letters of the channels.
         is_dark: Whether levels are compared; the level of light is not known.
         seed: Seed of the bootstrap.

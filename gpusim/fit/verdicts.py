@@ -75,8 +75,21 @@ def judge(groups: Sequence[tuple[str, Sequence[Statistic]]]) -> list[Finding]:
         The findings.
     """
     number = sum(one.chances for _, statistics in groups for one in statistics)
-    z = NormalDist().inv_cdf(1 - (1 - CONFIDENCE) / (2 * max(number, 1)))
-    return [_find(words, one, z) for words, statistics in groups for one in statistics]
+    tail = (1 - CONFIDENCE) / (2 * max(number, 1))
+    return [
+        _find(words, one, _quantile(tail, one.freedom))
+        for words, statistics in groups
+        for one in statistics
+    ]
+
+
+def _quantile(tail, freedom):
+    """Return the standard errors that are exceeded with a probability on one side."""
+    if math.isinf(freedom):
+        return NormalDist().inv_cdf(1 - tail)
+    import scipy.special
+
+    return float(scipy.special.stdtrit(freedom, 1 - tail))
 
 
 def _find(words, one, z):
