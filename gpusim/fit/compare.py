@@ -177,7 +177,9 @@ def _sums(stack, drawn, letters, count) -> tuple[NoiseSums, NoiseSums]:
     """Return the sums of both stacks, in bins of the simulated noise."""
     first = sum_noise(drawn, letters, np.ones(count))
     deviations = np.sqrt(np.maximum(first.squares.sum(axis=0) / first.numbers.sum(axis=0), 1e-4))
-    return sum_noise(stack, letters, deviations), sum_noise(drawn, letters, deviations)
+    is_whole = all((one == np.rint(one)).all() for one in (stack[:2], drawn[:2]))
+    real, simulated = (sum_noise(one, letters, deviations, is_whole) for one in (stack, drawn))
+    return real, simulated
 
 
 def _means(stack, letters, channels):

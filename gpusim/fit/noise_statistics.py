@@ -10,6 +10,12 @@ from gpusim.fit.noise_sums import BANDS, LAGS, NoiseSums
 
 RESAMPLES = 400
 LEAST_FRAMES = 6  # from which the variation of frames counts, too
+LEAST_COUNT = 20  # of a bin of residuals in both stacks
+TINY = 1e-12
+# differences that are still agreement; those of lines and patterns grow with these themselves
+VARIANCE_WITHIN, DIVERGENCE_WITHIN, SPECTRUM_WITHIN, CORRELATION_WITHIN = 0.02, 0.002, 0.05, 0.02
+LINES_WITHIN, PATTERN_WITHIN = (0.0025, 0.2), (0.05, 0.1)
+LEVEL_WITHIN = 0.1  # of the standard deviation of a pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,8 +25,8 @@ class Statistic:
     Args:
         name: Its name, in words.
         difference: Of real and simulated.
-        error: Standard error of the difference, by bootstrap over blocks, and from frames if these vary
-            more.
+        error: Standard error of the difference, by bootstrap over blocks, and from frames if these
+            vary more.
         within: Difference that is still agreement.
         unit: "" or the unit of the difference; "%" shows it in percent.
         chances: Number of differences of which this is the largest.
@@ -39,6 +45,42 @@ class Statistic:
     freedom: float = math.inf
     real: float | None = None
     simulated: float | None = None
+
+
+class _Pair:
+    """Sums of the real and the simulated stack, and differences of their statistics."""
+
+    def __init__(self, real: NoiseSums, simulated: NoiseSums, random: np.random.Generator):
+        self.stacks, self._random = (real, simulated), random
+        self._weights: dict = {}
+
+    def totals(self, name: str) -> list[np.ndarray]:
+        """Return the sums over all blocks of both stacks."""
+        return [getattr(sums, name).sum(axis=0) for sums in self.stacks]
+
+    def difference(self, of: Callable, *names: str) -> tuple[np.ndarray, np.ndarray]:
+        """Return a difference and its standard error.
+
+        Args:
+            of: Function of totals of the real stack and of the simulated one, lists in the order of
+                `names`.
+            names: Sums of blocks.
+        """
+        value = of(*zip(*map(self.totals, names), strict=True))
+        drawn = [
+            [self._drawn(stack, name) for name in names] for stack, _ in enumerate(self.stacks)
+        ]
+        values = [of(*([part[k] for part in stack] for stack in drawn)) for k in range(RESAMPLES)]
+        return np.asarray(value), np.std(values, axis=0)
+
+    def _drawn(self, stack, name):
+        """Return totals of blocks drawn with replacement, (RESAMPLES, ...); equal draws for equal numbers."""
+        values = getattr(self.stacks[stack], name)
+        key = stack, len(values)
+        if key not in self._weights:
+            even = np.full(len(values), 1 / len(values))
+            self._weights[key] = self._random.multinomial(len(values), even, RESAMPLES)
+        return np.tensordot(self._weights[key].astype(np.float64), values, 1)
 
 
 def noise_statistics(
@@ -61,102 +103,50 @@ def noise_statistics(
     Returns:
         The statistics.
     """
-    random = np.random.default_rng(seed)
-
-    def bootstrap(of: Callable, names: tuple[str, ...]) -> np.ndarray:
-        """Return the values of a function of resampled sums, (RESAMPLES, ...)."""
-        return np.array(
-            [
-                of(*(_resample(sums, names, random) for sums in (real, simulated)))
-                for _ in range(RESAMPLES)
-            ]
-        )
-
-    def made(of, names):
-        """Return the difference and its standard error."""
-        value = of(*([getattr(sums, name) for name in names] for sums in (real, simulated)))
-        return np.asarray(value), bootstrap(of, names).std(axis=0)
-
-    found = []
-    found += _variance_statistics(real, simulated, channels, made)
-    found.append(_divergence(real, simulated, made))
-    for word, name in (("rows", "rows"), ("columns", "columns")):
-        value, error = made(lambda a, b: _line_share(a[0]) - _line_share(b[0]), (name,))
-        pair = _line_share(real.__dict__[name]), _line_share(simulated.__dict__[name])
-        found.append(
-            Statistic(
-                f"noise of {word} in the variance",
-                float(value),
-                float(error),
-                0.0025,
-                "%",
-                real=pair[0],
-                simulated=pair[1],
-            )
-        )
-    for word, name in (("rows", "along_rows"), ("columns", "along_columns")):
-        value, error = made(lambda a, b: np.log(a[0].mean(axis=0) / b[0].mean(axis=0)), (name,))
-        found.append(_largest(f"spectrum along {word}", value, error, 0.05, "%", BANDS))
-    value, error = made(lambda a, b: _correlation(a[0]) - _correlation(b[0]), ("products",))
-    found.append(_largest("correlation of neighbours", value, error, 0.02, "", len(LAGS)))
-    names = ("pattern", "squares", "numbers")
-    value, error = made(
-        lambda a, b: _pattern_share(a, real.frames) - _pattern_share(b, simulated.frames), names
-    )
-    pair = [
-        _pattern_share([getattr(sums, name) for name in names], sums.frames)
-        for sums in (real, simulated)
-    ]
+    pair = _Pair(real, simulated, np.random.default_rng(seed))
+    found = _variances(pair, channels)
+    found.append(_divergence(pair))
+    found += [_lines(pair, name) for name in ("rows", "columns")]
+    for name in ("rows", "columns"):
+        value, error = pair.difference(lambda a, b: np.log(a[0] / b[0]), f"along_{name}")
+        value = value + np.log(len(getattr(simulated, f"along_{name}")))
+        value = value - np.log(len(getattr(real, f"along_{name}")))
+        found.append(_largest(f"spectrum along {name}", value, error, SPECTRUM_WITHIN, "%", BANDS))
+    value, error = pair.difference(lambda a, b: _ratio(a[0]) - _ratio(b[0]), "products")
     found.append(
-        Statistic(
-            "fixed pattern over the variance",
-            float(value),
-            float(error),
-            0.05,
-            "%",
-            real=pair[0],
-            simulated=pair[1],
-        )
+        _largest("correlation of neighbours", value, error, CORRELATION_WITHIN, "", len(LAGS))
     )
-    if is_dark:
-        found.append(_level(real, simulated, made))
-    return found
+    found.append(_pattern(pair))
+    return [*found, _level(pair)] if is_dark else found
 
 
-def _resample(sums, names, random):
-    """Return sums of as many groups, drawn with replacement; equal draws for arrays of equal length."""
-    drawn, found = {}, []
-    for name in names:
-        values = getattr(sums, name)
-        if len(values) not in drawn:
-            drawn[len(values)] = random.integers(len(values), size=len(values))
-        found.append(values[drawn[len(values)]])
-    return found
+def _ratio(totals):
+    """Return the first over the second of totals."""
+    return totals[0] / np.maximum(totals[1], TINY)
 
 
-def _variance(squares, numbers):
-    return squares.sum(axis=0) / numbers.sum(axis=0)
+def _variances(pair, channels):
+    def relative(a, b):
+        return a[0] / a[1] / np.maximum(b[0] / b[1], TINY) - 1
 
-
-def _variance_statistics(real, simulated, channels, made):
-    value, error = made(
-        lambda a, b: _variance(*a) / np.maximum(_variance(*b), 1e-12) - 1, ("squares", "numbers")
-    )
-    ratio = value + 1
-    from_frames = np.zeros_like(error)
-    for sums in (real, simulated):
+    value, error = pair.difference(relative, "squares", "numbers")
+    between = np.zeros_like(error)
+    for sums in pair.stacks:
         frames = sums.by_frame
         if len(frames) >= LEAST_FRAMES:
-            mean = frames.mean(axis=0)
-            from_frames += frames.var(axis=0, ddof=1) / len(frames) / np.maximum(mean, 1e-12) ** 2
-    error = np.maximum(error, ratio * np.sqrt(from_frames))
-    values = [_variance(sums.squares, sums.numbers) for sums in (real, simulated)]
+            mean = np.maximum(frames.mean(axis=0), TINY)
+            between += frames.var(axis=0, ddof=1) / len(frames) / mean**2
+    error = np.maximum(error, (value + 1) * np.sqrt(between))
+    values = [
+        squares / numbers
+        for squares, numbers in zip(pair.totals("squares"), pair.totals("numbers"), strict=True)
+    ]
     return [
         Statistic(
             f"variance of {letter}" if len(channels) > 1 else "variance",
             float(value[k]),
             float(error[k]),
-            0.02,
+            VARIANCE_WITHIN,
             "%",
             real=float(values[0][k]),
             simulated=float(values[1][k]),
@@ -165,30 +155,32 @@ def _variance_statistics(real, simulated, channels, made):
     ]
 
 
-def _divergence(real, simulated, made):
+def _divergence(pair):
     """Return the Kullback-Leibler divergence of residuals, the channels' mean [nat].
 
     Its bias, (bins - 1) / 2 (1 / n + 1 / m), is subtracted.
     """
-
-    def divergence(a, b):
-        p, q = a[0].sum(axis=0), b[0].sum(axis=0)  # (channels, bins)
-        total, number = 0.0, 0.0
-        for one, other in zip(p, q, strict=True):
-            one, other = _merge_rare(one, other)
-            n, m = one.sum(), other.sum()
-            value = float(np.sum(one / n * np.log((one / n) / (other / m))))
-            total += n * (value - (len(one) - 1) / 2 * (1 / n + 1 / m))
-            number += n
-        return total / number
-
-    value, error = made(divergence, ("bins",))
+    value, error = pair.difference(lambda a, b: _mean_divergence(a[0], b[0]), "bins")
     return Statistic(
-        "distribution (KL divergence)", float(value), float(error), 0.002, "nat", is_distance=True
+        "distribution (KL divergence)",
+        float(value),
+        float(error),
+        DIVERGENCE_WITHIN,
+        "nat",
+        is_distance=True,
     )
 
 
-LEAST_COUNT = 20  # of a bin of both
+def _mean_divergence(real, simulated):
+    """Return the mean divergence of counts (channels, bins)."""
+    total = number = 0.0
+    for one, other in zip(real, simulated, strict=True):
+        one, other = _merge_rare(one, other)
+        n, m = one.sum(), other.sum()
+        value = float(np.sum(one / n * np.log((one / n) / (other / m))))
+        total += n * (value - (len(one) - 1) / 2 * (1 / n + 1 / m))
+        number += n
+    return total / number
 
 
 def _merge_rare(one, other):
@@ -206,41 +198,70 @@ def _merge_rare(one, other):
     return counts[:, 0], counts[:, 1]
 
 
+def _lines(pair, name):
+    value, error = pair.difference(lambda a, b: _line_share(a[0]) - _line_share(b[0]), name)
+    real, simulated = map(_line_share, pair.totals(name))
+    least, part = LINES_WITHIN
+    return Statistic(
+        f"noise of {name} in the variance",
+        float(value),
+        float(error),
+        least + part * max(simulated, 0.0),
+        "%",
+        real=real,
+        simulated=simulated,
+    )
+
+
 def _line_share(lines):
     """Return the variance that a line's pixels have in common, relative to a pixel's own."""
-    number, squares, reciprocal = lines.sum(axis=0)
+    number, squares, reciprocal = lines
     return float((squares - reciprocal) / number)
 
 
-def _correlation(products):
-    summed, number = products.sum(axis=0)
-    return summed / number
+def _pattern(pair):
+    frames = [sums.frames for sums in pair.stacks]
+    names = "pattern", "squares", "numbers"
 
+    def share(parts, count):
+        """Return the fixed pattern's variance relative to the temporal one, the channels' mean."""
+        pattern, squares, numbers = parts
+        temporal = np.maximum(squares / numbers, TINY)
+        spatial = pattern[0] / np.maximum(pattern[1], 1) - temporal / count
+        return float(np.sum(numbers * spatial / temporal) / numbers.sum())
 
-def _pattern_share(parts, frames):
-    """Return the fixed pattern's variance relative to the temporal one, the channels' mean."""
-    pattern, squares, numbers = parts
-    temporal = _variance(squares, numbers)
-    spatial = pattern[:, 0].sum(axis=0) / pattern[:, 1].sum(axis=0) - temporal / frames
-    weight = numbers.sum(axis=0)
-    return float(np.sum(weight * spatial / np.maximum(temporal, 1e-12)) / weight.sum())
-
-
-def _level(real, simulated, made):
-    deviation = np.sqrt(np.mean(_variance(real.squares, real.numbers)))
-    value, error = made(lambda a, b: _mean_of(a[0]) - _mean_of(b[0]), ("totals",))
+    value, error = pair.difference(lambda a, b: share(a, frames[0]) - share(b, frames[1]), *names)
+    totals = zip(*map(pair.totals, names), strict=True)
+    real, simulated = (share(one, count) for one, count in zip(totals, frames, strict=True))
+    least, part = PATTERN_WITHIN
     return Statistic(
-        "level of dark frames", float(value), float(error), 0.1 * float(deviation), "DN",
-        real=_mean_of(real.totals), simulated=_mean_of(simulated.totals),
-    )  # fmt: skip
+        "fixed pattern over the variance",
+        float(value),
+        float(error),
+        least + part * max(simulated, 0.0),
+        "%",
+        real=real,
+        simulated=simulated,
+    )
 
 
-def _mean_of(totals):
-    summed, number = totals.sum(axis=0)
-    return float(summed / number)
+def _level(pair):
+    squares, numbers = pair.totals("squares")[0], pair.totals("numbers")[0]
+    deviation = math.sqrt(float(np.mean(squares / numbers)))
+    value, error = pair.difference(lambda a, b: _ratio(a[0]) - _ratio(b[0]), "totals")
+    real, simulated = map(_ratio, pair.totals("totals"))
+    return Statistic(
+        "level of dark frames",
+        float(value),
+        float(error),
+        LEVEL_WITHIN * deviation,
+        "DN",
+        real=float(real),
+        simulated=float(simulated),
+    )
 
 
 def _largest(name, value, error, within, unit, chances):
     """Return the statistic of the difference that is most standard errors from 0."""
-    place = int(np.argmax(np.abs(value) / np.maximum(error, 1e-12)))
+    place = int(np.argmax(np.abs(value) / np.maximum(error, TINY)))
     return Statistic(name, float(value[place]), float(error[place]), within, unit, chances)

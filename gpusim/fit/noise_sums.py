@@ -50,13 +50,16 @@ class NoiseSums:
     by_frame: np.ndarray
 
 
-def sum_noise(stack: np.ndarray, letters: np.ndarray, deviations: np.ndarray) -> NoiseSums:
+def sum_noise(
+    stack: np.ndarray, letters: np.ndarray, deviations: np.ndarray, is_whole: bool = True
+) -> NoiseSums:
     """Return the sums of a stack.
 
     Args:
         stack: Raw values [DN], shape (n, rows, cols), n >= 2.
         letters: Index of the channel of each pixel of one period, shape (period_y, period_x).
         deviations: Standard deviation of a frame's pixel in each channel, which scales bins [DN].
+        is_whole: Whether values are whole numbers; then ends of bins lie between them.
 
     Returns:
         The sums.
@@ -77,9 +80,7 @@ def sum_noise(stack: np.ndarray, letters: np.ndarray, deviations: np.ndarray) ->
         squares += summed
     bins = np.zeros((most, len(EDGES)))
     for first, second in zip(values[::2], values[1::2], strict=False):
-        difference = _without_levels(first - second, letters.shape)
-        size = np.abs(difference) / (np.sqrt(2) * deviations)[channel]
-        index = np.searchsorted(EDGES, size.ravel(), side="right") - 1
+        index = _bin_differences(first - second, channel, deviations, letters.shape, is_whole)
         bins += np.bincount(where * len(EDGES) + index, minlength=bins.size).reshape(bins.shape)
     shape = BLOCKS * BLOCKS, count
     variances = np.mean(by_frame, axis=0)
@@ -149,6 +150,22 @@ def _residuals(values, period):
         found[number - 1] = _without_levels(scale * (values[number] - mean), period)
         mean += (values[number] - mean) / (number + 1)
     return found
+
+
+def _bin_differences(difference, channel, deviations, period, is_whole):
+    """Return the bin of each pixel's difference, (pixels,)."""
+    for place in _places(period):  # flicker; whole numbers stay whole
+        level = difference[place].mean(dtype=np.float64)
+        difference[place] -= np.rint(level) if is_whole else level
+    index = np.empty(difference.shape, np.int64)
+    for number, deviation in enumerate(deviations):
+        ends = EDGES * np.sqrt(2) * deviation
+        if is_whole:
+            ends = np.floor(ends) + 0.5
+            ends[0] = 0.0
+        chosen = channel == number
+        index[chosen] = np.searchsorted(ends, np.abs(difference[chosen]), side="right") - 1
+    return index.ravel()
 
 
 def _without_levels(frame, period):
