@@ -186,6 +186,7 @@ if TYPE_CHECKING:
     from gpusim.domain.view_images import ViewImages as ViewImages
     from gpusim.domain.account import Tolerance as Tolerance
     from gpusim.domain.scene import View as View
+    from gpusim.fit.compare import Comparison as Comparison, compare as compare
     from gpusim.optics.labels import carry_labels as carry_labels
     from gpusim.optics.lenslets import LensletSamples as LensletSamples
     from gpusim.optics.lenslets import lenslet_grid as lenslet_grid

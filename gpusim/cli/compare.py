@@ -86,6 +86,10 @@ def compare(request: CompareCameraRequest) -> int:
     from gpusim.fit.verdicts import DIFFERS, UNKNOWN
     from gpusim.io.atomic import atomic_path, check_output
 
+    if not (request.edges or request.chart or request.shading):
+        request.refuse("light", "only edges, charts and shading are simulated in it")
+    elif not (request.files or request.darks or request.flats):
+        request.refuse("base_iso", "only the noise of darks and flats depends on it")
     for path in (request.page, request.json):
         check_output(path)
     settings = {} if request.cfa is None else {"cfa": request.cfa}

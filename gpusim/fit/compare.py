@@ -175,8 +175,13 @@ def _compare_noise(shots, camera, base_iso, seed, device):
 
 def _sums(stack, drawn, letters, count) -> tuple[NoiseSums, NoiseSums]:
     """Return the sums of both stacks, in bins of the simulated noise."""
-    first = sum_noise(drawn, letters, np.ones(count))
-    deviations = np.sqrt(np.maximum(first.squares.sum(axis=0) / first.numbers.sum(axis=0), 1e-4))
+    period = letters.shape
+    temporal = drawn.var(axis=0, ddof=1, dtype=np.float64)
+    variances = np.zeros((count, 2))
+    for row, col in np.ndindex(*period):
+        plane = temporal[row :: period[0], col :: period[1]]
+        variances[letters[row, col]] += plane.sum(), plane.size
+    deviations = np.sqrt(np.maximum(variances[:, 0] / variances[:, 1], 1e-4))
     is_whole = all((one == np.rint(one)).all() for one in (stack[:2], drawn[:2]))
     real, simulated = (sum_noise(one, letters, deviations, is_whole) for one in (stack, drawn))
     return real, simulated

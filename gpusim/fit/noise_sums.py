@@ -219,8 +219,7 @@ def _spectra(white):
     found = np.zeros((groups, BANDS))
     for pair in white:
         power = np.abs(np.fft.rfft(pair, axis=1)[:, 1 : length // 2 + 1]) ** 2 / length
-        summed = np.zeros((groups, power.shape[1]))
-        np.add.at(summed, group, power)
+        summed = np.add.reduceat(power, np.searchsorted(group, np.arange(groups)))
         for number in range(BANDS):
             found[:, number] += summed[:, band == number].sum(axis=1)
     return found / np.maximum(np.outer(np.bincount(group, minlength=groups), sizes) * pairs, 1)

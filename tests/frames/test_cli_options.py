@@ -223,6 +223,20 @@ ROWS = {
         "seed": ("photo.png -o out.npz", "--seed 5"),
         "device": ("photo.png -o out.npz", "--device numpy"),
     },
+    "compare": {
+        "darks": ("mono held.npz", "--darks more.npz"),
+        "flats": ("mono held.npz", "--flats more.npz"),
+        "edges": ("mono held.npz", "--edges more.npz"),
+        "chart": ("mono held.npz", "--chart more.npz"),
+        "shading": ("mono held.npz", "--shading more.npz"),
+        "light": ("mono --chart held.npz", "--light A"),
+        "base_iso": ("mono held.npz", "--base-iso 200"),
+        "cfa": ("mono held.npz", "--cfa mono"),
+        "device": ("mono held.npz", "--device numpy"),
+        "seed": ("mono held.npz", "--seed 5"),
+        "page": ("mono held.npz", "--page page.html"),
+        "json": ("mono held.npz", "--json rows.json"),
+    },
     "verify": {
         "device": ("--device numpy", "--device warp:cpu"),
         "stage": ("--device numpy", "--stage sensor.noise"),
@@ -433,6 +447,9 @@ def record(monkeypatch):
     import gpusim.bench.peers
     import gpusim.bench.scaling
     import gpusim.bench.suite
+    import gpusim.fit.compare
+    import gpusim.fit.fitting
+    import gpusim.fit.verdicts
     import gpusim.io.camera.learned
     import gpusim.io.camera.network
     import gpusim.judge.combinations
@@ -499,6 +516,10 @@ def record(monkeypatch):
         lines = [said(files, *settings)]
         return SimpleNamespace(lines=lines, estimates={}, unexplained=(), unknown=(), write=write)
 
+    def compared(camera, *files, **settings):
+        finding = gpusim.fit.verdicts.Finding("all", "none", 0.0, 0.0, 0.0, 1.0, "agrees")
+        return gpusim.fit.compare.Comparison(said(camera, *files, settings), (finding,))
+
     def network_trained(tiles, *, tell, **options):
         model = SimpleNamespace(export=lambda text: SimpleNamespace(count=0, provenance=text))
         return model, {"steps": f"{tiles} {options}"}
@@ -534,6 +555,7 @@ def record(monkeypatch):
         (gpusim.bench.scaling, "measure_scaling", scaled),
         (gpusim.bench.pack, "write_pack", packed),
         (gpusim.apps.warmup, "warm_up", warmed),
+        (gpusim.fit.compare, "compare", compared),
         (gpusim.judge.pareto, "pareto", traded),
         (gpusim.judge.pareto, "draw", lambda rows, path, title: path.write_text(title)),
     ):
@@ -640,6 +662,8 @@ CONFLICTS = [  # a command line and the option that has no effect in it
     ("preview", PHOTO, "--pan 0,20"),
     ("verify", "--device numpy --hard", "--stage sensor.noise"),
     ("verify", "--device numpy --combinations", "--stage sensor.noise"),
+    ("compare", "mono held.npz", "--light A"),
+    ("compare", "mono --edges held.npz", "--base-iso 100"),
     ("bench compare", "first.json second.json --history", "--worst 5%"),
     ("bench compare", "first.json second.json --history", "--other-kernels"),
     ("verify", "--device numpy --combinations", "--hard"),

@@ -50,6 +50,7 @@ def objects():
         gs.ViewDepth(*np.ones((5, 4, 5))),
         gs.Estimate(1.0, 0.9, 1.1, "e-", 300 * ("a.dng",)),
         gs.Fit((), "phone", 300 * "n"),
+        gs.Comparison(300 * "n", ()),
         picture,
         lit,
         *(one.content for one in (CHECKER, CUBE, picture, lit)),
