@@ -29,7 +29,7 @@ from gpusim.pipeline.readout import Readout
 
 MOST_FRAMES, MOST_SIDE = 16, 1024  # of a group that are used, and the middle of large frames
 SHORT = 1e-6  # [s] of frames whose files do not give an exposure time
-CLIPPED = 1e-3  # part of the pixels at the highest value of a flat that is not used
+UNSATURATED = 0.9  # part of saturation up to which flats are compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -324,7 +324,10 @@ def _black(darks, camera):
 
 
 def _is_clipped(one, camera):
-    return one.highest >= camera.sensor.white_level
+    """Return whether a flat reaches the white level or, in its brightest channel, the full well."""
+    sensor = camera.sensor
+    full = sensor.dark_level + UNSATURATED * sensor.saturation * sensor.gain_dn_per_electron
+    return one.highest >= sensor.white_level or float(one.means.max()) > full
 
 
 def _words(kind, members, black):

@@ -6,15 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gpusim.fit.noise_sums import BANDS, LAGS, NoiseSums
+from gpusim.fit.noise_sums import BANDS, BLOCKS, LAGS, NoiseSums
 
-RESAMPLES = 400
+RESAMPLES = 200
 LEAST_FRAMES = 6  # from which the variation of frames counts, too
 LEAST_COUNT = 20  # of a bin of residuals in both stacks
 TINY = 1e-12
 # differences that are still agreement; those of lines and patterns grow with these themselves
 VARIANCE_WITHIN, DIVERGENCE_WITHIN, SPECTRUM_WITHIN, CORRELATION_WITHIN = 0.02, 0.002, 0.05, 0.02
-LINES_WITHIN, PATTERN_WITHIN = (0.0025, 0.2), (0.05, 0.1)
+LINES_WITHIN, FIXED_LINES_WITHIN, PATTERN_WITHIN = (0.0025, 0.2), (0.01, 0.3), (0.05, 0.1)
 LEVEL_WITHIN = 0.1  # of the standard deviation of a pixel
 
 
@@ -42,7 +42,7 @@ class Statistic:
     unit: str = ""
     chances: int = 1
     is_distance: bool = False
-    freedom: float = math.inf
+    freedom: float = BLOCKS * BLOCKS - 1
     real: float | None = None
     simulated: float | None = None
 
@@ -117,6 +117,7 @@ def noise_statistics(
         _largest("correlation of neighbours", value, error, CORRELATION_WITHIN, "", len(LAGS))
     )
     found.append(_pattern(pair))
+    found += [_lines(pair, name) for name in ("fixed_rows", "fixed_columns")]
     return [*found, _level(pair)] if is_dark else found
 
 
@@ -201,9 +202,11 @@ def _merge_rare(one, other):
 def _lines(pair, name):
     value, error = pair.difference(lambda a, b: _line_share(a[0]) - _line_share(b[0]), name)
     real, simulated = map(_line_share, pair.totals(name))
-    least, part = LINES_WITHIN
+    is_fixed = name.startswith("fixed_")
+    least, part = FIXED_LINES_WITHIN if is_fixed else LINES_WITHIN
+    lines = name.removeprefix("fixed_")
     return Statistic(
-        f"noise of {name} in the variance",
+        f"fixed pattern of {lines}" if is_fixed else f"noise of {lines}",
         float(value),
         float(error),
         least + part * max(simulated, 0.0),
@@ -214,9 +217,9 @@ def _lines(pair, name):
 
 
 def _line_share(lines):
-    """Return the variance that a line's pixels have in common, relative to a pixel's own."""
-    number, squares, reciprocal = lines
-    return float((squares - reciprocal) / number)
+    """Return the variance that a line's pixels have in common, relative to a pixel's temporal one."""
+    number, squares, of_pixels = lines
+    return float((squares - of_pixels) / number)
 
 
 def _pattern(pair):
@@ -235,7 +238,7 @@ def _pattern(pair):
     real, simulated = (share(one, count) for one, count in zip(totals, frames, strict=True))
     least, part = PATTERN_WITHIN
     return Statistic(
-        "fixed pattern over the variance",
+        "fixed pattern of pixels",
         float(value),
         float(error),
         least + part * max(simulated, 0.0),
@@ -250,12 +253,15 @@ def _level(pair):
     deviation = math.sqrt(float(np.mean(squares / numbers)))
     value, error = pair.difference(lambda a, b: _ratio(a[0]) - _ratio(b[0]), "totals")
     real, simulated = map(_ratio, pair.totals("totals"))
+    # lines and drift move whole frames
+    frames = math.sqrt(sum(one.levels.var(ddof=1) / one.frames for one in pair.stacks))
     return Statistic(
         "level of dark frames",
         float(value),
-        float(error),
+        max(float(error), frames),
         LEVEL_WITHIN * deviation,
         "DN",
+        freedom=min(one.frames for one in pair.stacks) - 1,
         real=float(real),
         simulated=float(simulated),
     )

@@ -1,8 +1,9 @@
 """Sums over blocks of a stack of raw frames, from which the noise statistics of any choice of blocks follow.
 
 Noise is measured on residuals without fixed pattern: each frame's difference from the mean of the frames before it,
-scaled to the variance of one frame (recursive residuals, which are independent). The distribution is measured on
-differences of two frames, which are whole numbers as raw values are.
+scaled to the variance of one frame (recursive residuals, which are independent). Means of rows and columns are measured
+by themselves and removed from all else: what a line has in common would count as many independent pixels. The
+distribution is measured on differences of two frames, which are whole numbers as raw values are.
 """
 
 from dataclasses import dataclass
@@ -29,9 +30,13 @@ class NoiseSums:
         along_rows, along_columns: Power of white noise 1 in each band, of groups of lines, (G, BANDS).
         products: Products of neighbours at each lag over the variance, and their numbers, shape
             (B, 2, lags).
-        pattern: Squared deviations of the mean frame from a smooth surface [DN^2], and numbers, of
-            each channel, (B, 2, C).
+        pattern: Squared deviations of the mean frame from a smooth surface, without lines [DN^2], and
+            numbers, of each channel, (B, 2, C).
+        fixed_rows: As `rows`, of the mean frame over the temporal deviation; the third sum has the
+            pixels' part.
+        fixed_columns: As `fixed_rows`, of columns.
         totals: Sum of values and number of pixels, (B, 2).
+        levels: Mean of each frame [DN], (n,).
         frames: Number of frames.
         by_frame: Variance of each channel in each residual [DN^2], (n - 1, C).
     """
@@ -45,9 +50,12 @@ class NoiseSums:
     along_columns: np.ndarray
     products: np.ndarray
     pattern: np.ndarray
+    fixed_rows: np.ndarray
+    fixed_columns: np.ndarray
     totals: np.ndarray
     frames: int
     by_frame: np.ndarray
+    levels: np.ndarray
 
 
 def sum_noise(
@@ -72,7 +80,8 @@ def sum_noise(
     where = (block * count + channel).ravel()
     most = BLOCKS * BLOCKS * count
     counts = np.bincount(where, minlength=most).astype(np.float64)
-    residuals = _residuals(values, letters.shape)
+    lined = _residuals(values, letters.shape)
+    residuals = _without_lines(lined)
     squares, by_frame = np.zeros(most), []
     for residual in residuals:
         summed = np.bincount(where, residual.ravel().astype(np.float64) ** 2, most)
@@ -84,23 +93,30 @@ def sum_noise(
         bins += np.bincount(where * len(EDGES) + index, minlength=bins.size).reshape(bins.shape)
     shape = BLOCKS * BLOCKS, count
     variances = np.mean(by_frame, axis=0)
-    white = residuals / np.sqrt(np.maximum(variances, 1e-12))[channel].astype(np.float32)
+    scale = np.sqrt(np.maximum(variances, 1e-12))[channel].astype(np.float32)
+    white, lined = residuals / scale, lined / scale
     mean = values.mean(axis=0, dtype=np.float64)
+    pattern = _without_light(mean, letters, channel, count)
+    fixed, rest = pattern / scale, _without_lines(pattern[None])[0]
+    power = float(np.mean((rest / scale) ** 2))
     return NoiseSums(
         numbers=len(residuals) * counts.reshape(shape),
         squares=squares.reshape(shape),
         bins=bins.reshape(*shape, len(EDGES)),
-        rows=_line_sums(white, 1),
-        columns=_line_sums(white, 2),
+        rows=_line_sums(lined, 1),
+        columns=_line_sums(lined, 2),
         along_rows=_spectra(white),
         along_columns=_spectra(white.transpose(0, 2, 1)),
         products=_products(white, block),
-        pattern=_pattern_sums(mean, letters, channel, where, count),
+        pattern=_pattern_sums(rest, where, count),
+        fixed_rows=_line_sums(fixed[None], 1, power),
+        fixed_columns=_line_sums(fixed[None], 2, power),
         totals=np.stack(
             [np.bincount(block.ravel(), mean.ravel()), np.bincount(block.ravel())], axis=1
         ),
         frames=len(values),
         by_frame=np.array(by_frame),
+        levels=values.mean(axis=(1, 2), dtype=np.float64),
     )
 
 
@@ -195,15 +211,24 @@ def _blocks(rows, cols):
     return y[:, None] * BLOCKS + x
 
 
-def _line_sums(white, axis):
-    """Return numbers, squared means and 1 / length of groups of lines, (G, 3). axis: 1 rows, 2 columns."""
+def _without_lines(frames):
+    """Return frames without the means of rows and columns. Frames have a mean of 0."""
+    rows = frames.mean(axis=2, keepdims=True, dtype=np.float64)
+    columns = frames.mean(axis=1, keepdims=True, dtype=np.float64)
+    return (frames - rows - columns).astype(frames.dtype)
+
+
+def _line_sums(white, axis, power=1.0):
+    """Return numbers, squared means and the pixels' part in these, of groups of lines, (G, 3).
+
+    axis: 1 rows, 2 columns. power: variance of pixels.
+    """
     means = white.mean(axis=3 - axis, dtype=np.float64)
     lines, length = white.shape[axis], white.shape[3 - axis]
-    # places of a period have their mean removed, which takes a part of the lines' own
     group = np.arange(lines) * BLOCKS * BLOCKS // lines
     number = len(white) * np.bincount(group, minlength=BLOCKS * BLOCKS).astype(np.float64)
     squares = np.bincount(group, (means**2).sum(axis=0), BLOCKS * BLOCKS)
-    return np.stack([number, squares, number / length], axis=1)
+    return np.stack([number, squares, power * number / length], axis=1)
 
 
 def _spectra(white):
@@ -212,7 +237,7 @@ def _spectra(white):
     Lines lose their mean, which is the noise of lines.
     """
     pairs, lines, length = white.shape
-    groups = min(2 * BLOCKS, lines)
+    groups = min(BLOCKS * BLOCKS, lines)
     group = np.arange(lines) * groups // lines
     band = np.minimum((np.arange(1, length // 2 + 1) - 1) * BANDS // max(length // 2, 1), BANDS - 1)
     sizes = np.bincount(band, minlength=BANDS)
@@ -238,17 +263,18 @@ def _products(white, block):
     return found
 
 
-def _pattern_sums(mean, letters, channel, where, count):
-    """Return squared deviations from the light, and numbers, (B, 2, C); each place has its level."""
+def _without_light(mean, letters, channel, count):
+    """Return a mean frame's deviations from the light; each place of the period has its level."""
     light = smooth_light(mean, letters, count)
-    rest = (
-        mean
-        - np.stack([light_at(one, *mean.shape) for one in light])[
-            channel, np.arange(mean.shape[0])[:, None], np.arange(mean.shape[1])
-        ]
-    )
-    for place in _places(letters.shape):
-        rest[place] -= rest[place].mean()
+    rest = mean.copy()
+    for number, coefficients in enumerate(light):
+        chosen = channel == number
+        rest[chosen] -= light_at(coefficients, *mean.shape)[chosen]
+    return _without_levels(rest, letters.shape)
+
+
+def _pattern_sums(rest, where, count):
+    """Return squared deviations, and numbers, (B, 2, C)."""
     most = BLOCKS * BLOCKS * count
     squares = np.bincount(where, (rest**2).ravel(), most)
     numbers = np.bincount(where, minlength=most)

@@ -1,6 +1,7 @@
 """`gs.compare` and `gpusim compare`: verdicts, exit statuses, pages, and input that cannot be compared."""
 
 import json
+import math
 
 import numpy as np
 import pytest
@@ -41,7 +42,8 @@ def frames(count=2, low=60, high=70, cfa=BAYER, shape=(48, 52), seed=0, **settin
 )
 def test_verdicts_by_hand(difference, error, state):
     """One statistic: 1.96 standard errors on both sides, agreement within 0.02."""
-    (found,) = judge([("group", [Statistic("a", difference, error, 0.02, "%")])])
+    one = Statistic("a", difference, error, 0.02, "%", freedom=math.inf)
+    (found,) = judge([("group", [one])])
     assert found.state == state and state in found.words
     assert (found.low, found.high) == pytest.approx(
         (difference - 1.959964 * error, difference + 1.959964 * error), rel=1e-6
@@ -49,7 +51,7 @@ def test_verdicts_by_hand(difference, error, state):
 
 
 def test_intervals_are_wider_for_more_statistics_and_fewer_degrees_of_freedom():
-    one = Statistic("a", 0.0, 1.0, 1.0)
+    one = Statistic("a", 0.0, 1.0, 1.0, freedom=math.inf)
     many = judge([("group", [one] * 20)])[0]
     assert many.high == pytest.approx(3.0233, abs=1e-3)  # normal quantile of 1 - 0.05 / 40
     few = Statistic("a", 0.0, 1.0, 1.0, freedom=5)
