@@ -54,7 +54,11 @@ class Comparison:
         return next((one for one in (DIFFERS, UNKNOWN) if one in states), AGREES)
 
     def lines(self) -> list[str]:
-        """Return the findings and what is not known as lines of text."""
+        """Describe the findings and what was not compared.
+
+        Returns:
+            Lines of text, the verdict last.
+        """
         found, group = [], None
         width = max((len(one.statistic) for one in self.findings), default=0)
         for one in self.findings:

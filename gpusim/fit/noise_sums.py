@@ -100,7 +100,8 @@ def sum_noise(
     fixed, rest = pattern / scale, _without_lines(pattern[None])[0]
     power = float(np.mean((rest / scale) ** 2))
     return NoiseSums(
-        numbers=len(residuals) * counts.reshape(shape),
+        # removed lines take a part of the pixels' freedom
+        numbers=len(residuals) * (1 - 1 / rows) * (1 - 1 / cols) * counts.reshape(shape),
         squares=squares.reshape(shape),
         bins=bins.reshape(*shape, len(EDGES)),
         rows=_line_sums(lined, 1),

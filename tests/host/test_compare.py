@@ -78,7 +78,8 @@ def test_sums_against_plain_formulas():
     sums = sum_noise(stack, np.zeros((1, 1), int), np.array([3.0]), False)
     residual = stack - stack.mean(axis=(1, 2), keepdims=True)
     variance = residual.var(axis=0, ddof=1).mean()
-    assert sums.squares.sum() / sums.numbers.sum() == pytest.approx(variance, rel=2e-3)
+    # the 288 means of lines that are removed hold 5.6 % of the squares, within sqrt(2 / 288): three times 0.46 %
+    assert sums.squares.sum() / sums.numbers.sum() == pytest.approx(variance, rel=0.014)
     assert sums.bins.sum() == 2 * 32 * 40  # two differences of five frames
     number, squares, reciprocal = sums.rows.sum(axis=0)
     assert (number, reciprocal) == (4 * 32, pytest.approx(4 * 32 / 40))
