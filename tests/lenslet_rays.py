@@ -84,6 +84,8 @@ def spot_by_integral(array, gap, wavelength, pixel, size, points=512):
     )  # of each point's cell
     x = (np.arange(-(size // 2), size // 2 + 1)) / FINE * pixel
     wave = np.exp(-2j * np.pi * np.outer(x, u) / (wavelength * 1e-9 * gap))
+    # a point has the mean of its cell, which is its neighbours' in part
+    wave /= np.sinc(x * (u[1] - u[0]) / (wavelength * 1e-9 * gap))[:, None]
     intensity = np.abs(wave @ share @ wave.T) ** 2
     # Parseval: the whole plane has the light that passed, beyond the grid, too
     area = share.sum() * (u[1] - u[0]) ** 2

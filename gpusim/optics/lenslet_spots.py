@@ -1,23 +1,25 @@
 """Tables of lenslets in any array, for the stage `sensor.lenslets`: their parts, and light on near and far pixels.
 
 The light of a cell on the pixels is the product of `gpusim.optics.lenslet_tables` in two axes: the autocorrelation of a
-turned square or a hexagon is not one of rows times one of columns.
+turned square or a hexagon is not one of rows times one of columns. A smooth window divides it: light within the window
+is gathered cell by cell, and the rest is a convolution on the grid of pixels.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.ndimage import map_coordinates
 
+from gpusim.optics.lengths import fft_length
 from gpusim.optics.lenslets import LensletPlane, index_range
 
-# share of the light, of both axes, that is left to a mean over lenslets
-GATHERED_TAIL = 1e-2
-STEPS = 16  # samples of a pixel
-FAR_STEPS = 4  # the same for light from afar
+# share of the light, of both axes, that is left to the convolution, with wider windows for spots below half a pixel
+CONVOLVED_TAIL = 3e-2
+LEAST_REACH = 4.0  # pixels of the window beyond the image of a cell: its slope is smooth for samples of a pixel
+WRAPPED_TAIL = 2e-4  # of a channel's light that the transform may bring back from the other side of the frame
+STEPS = 32  # samples of a pixel
 LINES = 16  # lines of a sample on which its share with a lenslet is measured
-FAR = 12  # lenslets, in each direction of the lattice, whose light reaches a lenslet by diffraction
+ROWS = 256  # of a transfer function at once
 
 
 def aperture_overlap(shifts, normals):
@@ -138,26 +140,20 @@ def _share_samples(plane, at):
 
 @dataclass(frozen=True)
 class SpotTables:
-    """Light of a cell on pixels near and far, for arrays that are not separable.
+    """Light of a cell on near pixels, for arrays that are not separable.
 
     Attributes:
         reach: Pixels whose centres are nearer than this, along rows and columns, use `near` [pixel].
         near: Share of the light of a cell, STEPS samples per pixel, float32, shape (channels, n, n).
-        far: Mean share that a pixel gets of the light of a lenslet at distances -FAR .. FAR along both steps, beyond
-            `reach`, float32, shape (channels, m, m).
     """
 
     reach: float
     near: np.ndarray
-    far: np.ndarray
 
 
 @lru_cache(maxsize=4)
 def spot_tables(plane: LensletPlane, cells: tuple[int, int]) -> SpotTables:
-    """Return the light of a cell on pixels.
-
-    Light within `reach` is exact. The rest, a few per cent, comes from a mean over the pixels of one lenslet and the
-    cells of the other; it is scaled so that the sum is the whole light.
+    """Return the light of a cell on near pixels: all of it, times a window that is 1 up to half of `reach`.
 
     Args:
         plane: Numbers of the frame.
@@ -166,72 +162,106 @@ def spot_tables(plane: LensletPlane, cells: tuple[int, int]) -> SpotTables:
     Returns:
         The tables.
     """
-    image = [2 * plane.radius / count for count in cells]
-    part = abs(plane.spread) * (
-        plane.pitch * plane.fill if plane.is_focused_on_pupil else plane.step
-    )
-    reach = (
-        np.ceil((max(image) + part) / 2 + 2 * max(plane.spots) / (np.pi**2 * GATHERED_TAIL)) + 0.5
-    )
-    span, far_span = (
-        2 ** int(np.ceil(np.log2(max(128, most))))
-        for most in (4 * reach, 2 * (FAR + 3) * plane.pitch)
-    )
-    near, far = [], []
+    image, part = _light_boxes(plane, cells)
+    far = max(2 * max(plane.spots) / (np.pi**2 * CONVOLVED_TAIL), LEAST_REACH)
+    reach = int(np.ceil((max(image) + part) / 2 + far))
+    slope = np.clip(2 - 2 * np.abs(np.arange(-reach * STEPS, reach * STEPS + 1)) / reach / STEPS, 0, 1)
+    window = np.outer(*[np.sin(np.pi / 2 * slope) ** 2] * 2)
+    near = []
     for spot in plane.spots:
-
-        def tabulate(aperture, span, steps, spot=spot):
-            return _spot_table(plane, image, part, spot, span, steps, aperture)
-
-        whole, own = (tabulate(one, span, STEPS) for one in ((1.0, 1.0), plane.aperture))
-        half, middle = int(reach * STEPS), len(own) // 2
-        cut = slice(middle - half, middle + half + 1)
-        inner = whole[cut, cut][
-            :-1, :-1
-        ]  # pixels at equal distances: a whole number in each direction
-        count = 2 * half // STEPS
-        sums = inner.reshape(count, STEPS, count, STEPS).sum((0, 2))
-        kept = sums.mean()
+        whole, own = (
+            window * _spot_table(plane, image, part, spot, reach, aperture)
+            for aperture in ((1.0, 1.0), plane.aperture)
+        )
+        # pixels at equal distances: a whole number in each direction
+        sums = whole[:-1, :-1].reshape(2 * reach, STEPS, 2 * reach, STEPS).sum((0, 2))
         # the sum over pixels is the same wherever between them the light lies
-        even = np.pad(np.tile(kept / sums, (count, count)), ((0, 1), (0, 1)), mode="wrap")
-        near.append(own[cut, cut] * even)
-        whole, own = (tabulate(one, far_span, FAR_STEPS) for one in ((1.0, 1.0), plane.aperture))
-        far.append(_far_table(plane, own, whole, reach, 1 - kept))
-    return SpotTables(float(reach), np.array(near, np.float32), np.array(far, np.float32))
+        even = np.tile(sums[0, 0] / sums, (2 * reach, 2 * reach))
+        near.append(own * np.pad(even, ((0, 1), (0, 1)), mode="wrap"))
+    return SpotTables(float(reach), np.array(near, np.float32))
 
 
-def _spot_table(plane, image, part, spot, span, steps, aperture):
-    """Return the light that pixels get at all distances within `span`, `steps` per pixel, 0 in the middle."""
-    count = span * steps
-    nu = np.fft.fftfreq(count, 1 / steps)
-    keep = np.abs(nu) * spot <= 2 / np.sqrt(3) + 1e-9
-    used = nu[keep]
+def far_period(plane: LensletPlane, shape: tuple[int, int]) -> tuple[int, int]:
+    """Return lengths of transforms in which little light comes back from the other side.
+
+    A slit's diffraction between the distances r and r + n is w / pi^2 (1 / r - 1 / (r + n)) on one side.
+
+    Args:
+        plane: Numbers of the frame.
+        shape: Rows and columns of the light [pixel].
+    """
+    most = max(plane.spots) / (np.pi**2 * WRAPPED_TAIL)
+    rows, cols = (fft_length(n + int(np.sqrt(n**2 / 4 + most * n) - n / 2) + 1) for n in shape)
+    return rows, cols
+
+
+def far_transfer(
+    plane: LensletPlane, cells: tuple[int, int], tables: SpotTables, period: tuple[int, int]
+) -> np.ndarray:
+    """Return transfer functions of the light that `tables` leave, for light on `cubic_table` of the pixels' grid.
+
+    Args:
+        plane: Numbers of the frame.
+        cells: Cells of the pupil, (rows, cols).
+        tables: Light on near pixels.
+        period: Rows and columns of the transform [pixel].
+
+    Returns:
+        Real and zero imaginary parts side by side, float32, shape (channels, period[0], 2 (period[1] // 2 + 1)).
+    """
+    boxes = _light_boxes(plane, cells)
+    rows, cols = np.fft.fftfreq(period[0]), np.arange(period[1] // 2 + 1) / period[1]
+    # the spline passes through the light at whole distances
+    knots = [(2 + np.cos(2 * np.pi * nu)) / 3 for nu in (rows, cols)]
+    at = np.arange(-int(tables.reach), int(tables.reach) + 1)
+    waves = [np.exp(-2j * np.pi * np.outer(nu, at)) for nu in (rows, cols)]
+    found = np.zeros((len(plane.spots), len(rows), len(cols), 2), np.float32)
+    for number, spot in enumerate(plane.spots):
+        most = int(np.ceil(2 / np.sqrt(3) / spot + 0.5))
+        folds = np.arange(-most, most + 1)
+        near = waves[0] @ tables.near[number, ::STEPS, ::STEPS]
+        for first in range(0, len(rows), ROWS):
+            lines = slice(first, first + ROWS)
+            total = -(near[lines] @ waves[1].T).real
+            for down in folds:
+                for across in folds:
+                    total += _spot_spectrum(
+                        plane, *boxes, spot, plane.aperture, (rows[lines] + down, cols + across)
+                    )
+            found[number, lines, :, 0] = total / knots[0][lines, None] / knots[1]
+    return found.reshape(len(found), len(rows), -1)
+
+
+def cubic_table() -> SpotTables:
+    """Return the cubic B-spline as the light of a cell on the pixels' grid, see `SpotTables`, for one channel."""
+    x = np.abs(np.arange(-2 * STEPS, 2 * STEPS + 1)) / STEPS
+    line = np.where(x < 1, 2 / 3 - x**2 + x**3 / 2, (2 - np.minimum(x, 2)) ** 3 / 6)
+    return SpotTables(2.0, np.outer(line, line)[None].astype(np.float32))
+
+
+def _light_boxes(plane, cells):
+    """Return the (height, width) of a cell's image, and the width of the image of a part of a lenslet [pixel]."""
+    image = [2 * plane.radius / count for count in cells]
+    own = plane.pitch * plane.fill if plane.is_focused_on_pupil else plane.step
+    return image, abs(plane.spread) * own
+
+
+def _spot_table(plane, image, part, spot, reach, aperture):
+    """Return the light that pixels get at distances within `reach`, STEPS per pixel, 0 in the middle."""
+    span = max(128, 4 * reach)  # light comes back after it; what far_transfer leaves makes up for that
+    most = int(min(2 / np.sqrt(3) / spot, STEPS / 2) * span)
+    nu = np.arange(-most, most + 1) / span
+    spectrum = _spot_spectrum(plane, image, part, spot, aperture, (nu, nu))
+    at = np.arange(-reach * STEPS, reach * STEPS + 1) / STEPS
+    waves = np.exp(2j * np.pi * np.outer(at, nu))
+    return (waves @ spectrum @ waves.T).real / span**2
+
+
+def _spot_spectrum(plane, image, part, spot, aperture, frequencies):
+    """Return the transform of the light that pixels get, at frequencies (rows, cols) [1/pixel]."""
     boxes = [
-        np.sinc(box * used) * np.sinc(part * used) * np.sinc(side * used) * side
-        for box, side in zip(image, aperture, strict=True)
+        np.sinc(box * nu) * np.sinc(part * nu) * np.sinc(side * nu) * side
+        for box, side, nu in zip(image, aperture, frequencies, strict=True)
     ]
-    shifts = np.stack(np.meshgrid(used * spot, used * spot, indexing="ij"))
-    spectrum = np.zeros((count, count), np.complex64)
-    spectrum[np.ix_(keep, keep)] = aperture_overlap(shifts, plane.normals) * np.outer(*boxes)
-    return np.fft.fftshift(np.fft.ifft2(spectrum).real) * steps**2
-
-
-def _far_table(plane, own, whole, reach, share):
-    """Return the mean light that pixels of one lenslet get from cells of another, beyond `reach`."""
-    middle, lattice = len(own) // 2, np.array(plane.lattice)
-    steps = np.arange(-FAR, FAR + 1)
-    grid = (np.arange(6) + 0.5) / 6 - 0.5
-    pixels = np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2) @ lattice
-    pupil = 2 * np.stack(np.meshgrid(grid, grid), -1).reshape(-1, 2)
-    pupil = plane.radius * pupil[np.hypot(*pupil.T) <= 1]
-    between = (pixels[:, None] + pupil[None]).reshape(-1, 2)
-    offsets = np.stack(np.meshgrid(steps, steps, indexing="ij"), -1) @ lattice
-    distance = between - offsets[..., None, :]  # from light of the lenslet at the offset to a pixel
-    is_far = np.abs(distance).max(-1) >= reach
-    places = np.moveaxis(distance, -1, 0) * FAR_STEPS + middle
-    found = [
-        (map_coordinates(table, places, order=1, mode="grid-wrap") * is_far).mean(-1)
-        for table in (own, whole)
-    ]
-    total = found[1].sum() * abs(np.linalg.det(lattice))
-    return found[0] * share / total
+    shifts = np.stack(np.meshgrid(*[spot * nu for nu in frequencies], indexing="ij"))
+    return aperture_overlap(shifts, plane.normals) * np.outer(*boxes)

@@ -1,7 +1,6 @@
 // Squares along the pixels: `across` and `down` are products with banded matrices along rows and columns. A work-item has
 // WIDTH neighbouring positions and BLOCK lines, so that each weight or value is read once for several sums.
-// Other arrays: `bundle` adds the samples of each lenslet, `spread_far` makes the light from afar, and
-// `gather` adds up the cells near a pixel. From the host: WIDTH, CELLS of the pupil along the axis; STEPS of the table.
+// Other arrays: `bundle` adds the samples of each lenslet, and `gather` adds up the cells near a pixel. From the host: WIDTH, CELLS of the pupil along the axis; STEPS of the table.
 #define BLOCK 8
 
 // Sums over the middle axis.
@@ -148,27 +147,7 @@ __kernel void bundle(
     light[(size_t)plane * lenslets + lenslet] = sum;
 }
 
-// Light from lenslets at distances of up to `most` along both steps of the lattice.
-__kernel void spread_far(
-    // in:
-    __global const float *restrict totals,  // [channels][count_a][count_b]
-    __global const float *restrict table,   // [channels][2 * most + 1][2 * most + 1]
-    // out:
-    __global float *restrict far_light,     // [channels][count_a][count_b]
-    // sizes:
-    const int channels, const int count_a, const int count_b, const int most)
-{
-    const int lenslet = get_global_id(0), channel = get_global_id(1);
-    GUARD(lenslet >= count_a * count_b || channel >= channels)
-    const int a = lenslet / count_b, b = lenslet % count_b, side = 2 * most + 1;
-    float sum = 0.0f;
-    for (int i = max(-most, -a); i <= min(most, count_a - 1 - a); ++i)
-        for (int j = max(-most, -b); j <= min(most, count_b - 1 - b); ++j)
-            sum += table[(channel * side + i + most) * side + j + most]
-                * totals[(channel * count_a + a + i) * count_b + b + j];
-    far_light[channel * count_a * count_b + lenslet] = sum;
-}
-
+// Light of cells near each pixel, by a table: of near pixels; or of the pixels' grid, a layer for each channel.
 __kernel void gather(
     // in:
     __global const float *restrict light,      // [cells_y][cells_x][channels][samples]
@@ -176,22 +155,23 @@ __kernel void gather(
     __global const float *restrict share,      // [lenslets][parts]
     __global const float *restrict places,     // [lenslets][parts][2] where the pupil's middle lands
     __global const float *restrict near_table, // [channels][side][side]
-    __global const float *restrict far_light,  // [channels][lenslets]
+    __global const float *restrict far_light,  // [channels][pixel_rows][pixel_cols]
     __global const int *restrict cfa,          // [period_y][period_x]
     __global const float *restrict inverse,    // [2][2] from places to steps of the lattice
     // out:
-    __global float *restrict pixels,           // [pixel_rows][pixel_cols]
+    __global float *restrict pixels,           // [layers][pixel_rows][pixel_cols]
     // params:
-    const float origin_y, const float origin_x, const float axis_y, const float axis_x, const float tilt,
+    const int has_far, const float origin_y, const float origin_x, const float axis_y, const float axis_x, const float tilt,
     const float radius, const float reach,
     // sizes:
     const int cells_y, const int cells_x, const int channels, const int samples, const int parts,
     const int low_a, const int low_b, const int count_a, const int count_b, const int around_a, const int around_b,
-    const int side, const int period_y, const int period_x, const int pixel_rows, const int pixel_cols)
+    const int side, const int period_y, const int period_x, const int layers, const int pixel_rows,
+    const int pixel_cols)
 {
-    const int px = get_global_id(0), py = get_global_id(1);
-    GUARD(px >= pixel_cols || py >= pixel_rows)
-    const int channel = cfa[py % period_y * period_x + px % period_x];
+    const int px = get_global_id(0), py = get_global_id(1), layer = get_global_id(2);
+    GUARD(px >= pixel_cols || py >= pixel_rows || layer >= layers)
+    const int channel = layers == 1 ? cfa[py % period_y * period_x + px % period_x] : layer;
     const float y = py - 0.5f * (pixel_rows - 1), x = px - 0.5f * (pixel_cols - 1);
     // the lenslet whose image of the pupil's middle is nearest
     const float v = (y + tilt * axis_y) / (1.0f + tilt) - origin_y, u = (x + tilt * axis_x) / (1.0f + tilt) - origin_x;
@@ -199,9 +179,7 @@ __kernel void gather(
     const int own_b = (int)rint(v * inverse[1] + u * inverse[3]) - low_b;
     const float step_y = 2.0f * radius / cells_y, step_x = 2.0f * radius / cells_x;
     __global const float *restrict table = near_table + channel * side * side;
-    float sum = 0.0f;
-    if (own_a >= 0 && own_a < count_a && own_b >= 0 && own_b < count_b)
-        sum = far_light[(channel * count_a + own_a) * count_b + own_b];
+    float sum = has_far ? far_light[((size_t)channel * pixel_rows + py) * pixel_cols + px] : 0.0f;
     for (int a = max(own_a - around_a, 0); a <= min(own_a + around_a, count_a - 1); ++a)
         for (int b = max(own_b - around_b, 0); b <= min(own_b + around_b, count_b - 1); ++b)
             for (int part = 0; part < parts; ++part) {
@@ -232,6 +210,6 @@ __kernel void gather(
                 }
                 sum += share[at] * own;
             }
-    pixels[(size_t)py * pixel_cols + px] = sum;
+    pixels[((size_t)layer * pixel_rows + py) * pixel_cols + px] = sum;
 }
 #endif

@@ -28,14 +28,23 @@ Bytes and operations, 9 x 9 cells on 512 x 512 lenslets, 4608 x 4608 pixels, Bay
 """
 
 import functools
+from dataclasses import dataclass
 
 import numpy as np
 
 from gpusim.backends import Device
 from gpusim.domain.errors import BadData
 from gpusim.kernels.common.cases import RGGB
+from gpusim.kernels.optics.blur import blur
 from gpusim.kernels.stage import Array, Case, is_opencl_cpu, stage, warp_only
-from gpusim.optics.lenslet_spots import STEPS, lenslet_sources, spot_tables
+from gpusim.optics.lenslet_spots import (
+    STEPS,
+    cubic_table,
+    far_period,
+    far_transfer,
+    lenslet_sources,
+    spot_tables,
+)
 from gpusim.optics.lenslet_tables import BLOCK, axis_table, mosaic_pairs
 from gpusim.optics.lenslets import LensletPlane, lenslet_vectors
 
@@ -164,35 +173,33 @@ def _gather_cells(device, rates, cfa, plane, shape):
     cells_x = planes // channels
     tables = _spot_arrays(device, plane, tuple(shape), (rows, cols), (cells_y, cells_x))
     launch = functools.partial(device.launch, "sensor.lenslets", defines={"STEPS": STEPS})
-    planes, samples = cells_y * cells_x, rows * cols
-
-    def bundle(light, planes):
-        return _bundle(device, launch, device.reshape(light, (planes, samples)), tables)
-
-    # light of lenslets, all cells together
-    totals = bundle(_add_up(device, launch, rates, (1, planes, channels * samples)), channels)
-    far = device.empty(totals.shape)
-    launch(
-        "spread_far",
-        far.shape,
-        *(totals, tables.far, far, channels, *tables.shape, tables.far.shape[-1] // 2),
-    )
     light, sources = rates, tables.parts
     if plane.is_focused_on_pupil:
-        light, sources = bundle(rates, planes * channels), tables.lenslets
-    count, parts = light.size // (planes * channels), sources[0].shape[1]
-    pixels = device.empty((1, *shape))
-    launch(
-        "gather",
-        tuple(shape),
-        device.reshape(light, (cells_y, cells_x, channels, count)),
-        *(*sources, tables.near, far, device.array(cfa, np.int32), tables.inverse, pixels),
-        *(*plane.origin, *plane.axis, plane.tilt, plane.radius, tables.reach),
-        *(cells_y, cells_x, channels, count, parts, *tables.low, *tables.shape, *tables.around),
-        *(tables.near.shape[-1], *cfa.shape, *shape),
-        *warp_only(device, STEPS),
-    )
-    return pixels
+        planes, samples = cells_y * planes, rows * cols
+        light = _bundle(device, launch, device.reshape(rates, (planes, samples)), tables)
+        sources = tables.lenslets
+    count, parts = light.size // (cells_y * cells_x * channels), sources[0].shape[1]
+    light = device.reshape(light, (cells_y, cells_x, channels, count))
+
+    def gather(table, far, layers, size):
+        pixels = device.empty((layers, *size))
+        launch(
+            "gather",
+            pixels.shape,
+            *(light, *sources, table.near, table.near if far is None else far),
+            *(device.array(cfa, np.int32), tables.inverse, pixels, int(far is not None)),
+            *(*plane.origin, *plane.axis, plane.tilt, plane.radius, table.reach),
+            *(cells_y, cells_x, channels, count, parts, *tables.low, *tables.shape, *table.around),
+            *(table.near.shape[-1], *cfa.shape, *pixels.shape),
+            *warp_only(device, STEPS),
+        )
+        return pixels
+
+    size = [n + 2 * tables.margin for n in shape]
+    grid = gather(tables.cubic, None, channels, size)
+    mix, period = np.eye(channels, dtype=np.float32), tables.period
+    far = blur(grid, tables.transfer, mix, "zero", period, tables.margin, device=device)
+    return gather(tables.near, far, 1, shape)
 
 
 def _bundle(device, launch, light, tables):
@@ -204,6 +211,15 @@ def _bundle(device, launch, light, tables):
     return out
 
 
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Light of a cell on a device, see `SpotTables`. around: lenslets along both steps whose light it reaches."""
+
+    near: Array
+    reach: float
+    around: list[int]
+
+
 class _SpotArrays:
     """Sources and tables of a frame on a device.
 
@@ -211,12 +227,13 @@ class _SpotArrays:
         parts: Sample, share and place of the lenslets' parts.
         lenslets: The same of lenslets as a whole: each is its own sample.
         near: Light of a cell on near pixels.
-        far: Light of lenslets far away.
+        cubic: Light of a cell on the pixels' grid.
+        margin: Pixels around the frame on which light falls.
+        period: Lengths of the transform [pixel].
+        transfer: Transfer functions from the light on the pixels' grid to light from afar.
         inverse: From places to steps of the lattice.
         low: First lenslet along both steps.
         shape: Lenslets along both steps.
-        reach: Of `near` [pixel].
-        around: Lenslets along both steps whose light is near.
     """
 
     def __init__(self, device, plane, size, samples, cells):
@@ -232,15 +249,25 @@ class _SpotArrays:
             device.array(ones),
             device.array(middle[:, None]),
         )
-        self.near, self.far = device.array(spots.near), device.array(spots.far)
         inverse = np.linalg.inv(np.array(plane.lattice))
         self.inverse = device.array(inverse)
-        self.low, self.shape, self.reach = sources.low, sources.shape, spots.reach
-        box = plane.radius + spots.reach + abs(plane.spread) * plane.pitch
-        self.around = [int(n) for n in np.floor(box * np.abs(inverse).sum(0) + 0.5)]
+        self.low, self.shape = sources.low, sources.shape
+
+        def on_device(table):
+            box = plane.radius + table.reach + abs(plane.spread) * plane.pitch
+            around = [int(n) for n in np.floor(box * np.abs(inverse).sum(0) + 0.5)]
+            near = np.broadcast_to(table.near, (len(plane.spots), *table.near.shape[1:]))
+            return _Table(device.array(near), table.reach, around)
+
+        cubic = cubic_table()
+        self.near, self.cubic = on_device(spots), on_device(cubic)
+        farthest = np.abs(sources.place[sources.share > 0]).max(0) + plane.radius + cubic.reach
+        self.margin = int(max(0.0, *np.ceil(farthest - (np.array(size) - 1) / 2)))
+        self.period = far_period(plane, tuple(n + 2 * self.margin for n in size))
+        self.transfer = device.array(far_transfer(plane, cells, spots, self.period)[None])
 
 
-_spot_arrays = functools.lru_cache(maxsize=8)(_SpotArrays)
+_spot_arrays = functools.lru_cache(maxsize=4)(_SpotArrays)
 
 
 def make_plane(

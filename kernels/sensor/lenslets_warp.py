@@ -151,29 +151,6 @@ def bundle(
 
 
 @wp.kernel
-def spread_far(
-    # in:
-    totals: wp.array2d[float],
-    table: wp.array3d[float],
-    # out:
-    far_light: wp.array2d[float],
-    # sizes:
-    channels: int,
-    count_a: int,
-    count_b: int,
-    most: int,
-):
-    channel, lenslet = wp.tid()
-    a = lenslet / count_b
-    b = lenslet % count_b
-    total = float(0.0)
-    for i in range(wp.max(-most, -a), wp.min(most, count_a - 1 - a) + 1):
-        for j in range(wp.max(-most, -b), wp.min(most, count_b - 1 - b) + 1):
-            total += table[channel, i + most, j + most] * totals[channel, (a + i) * count_b + b + j]
-    far_light[channel, lenslet] = total
-
-
-@wp.kernel
 def gather(
     # in:
     light: wp.array4d[float],
@@ -181,12 +158,13 @@ def gather(
     share: wp.array2d[float],
     places: wp.array3d[float],
     near_table: wp.array3d[float],
-    far_light: wp.array2d[float],
+    far_light: wp.array3d[float],
     cfa: wp.array2d[int],
     inverse: wp.array2d[float],
     # out:
     pixels: wp.array3d[float],
     # params:
+    has_far: int,
     origin_y: float,
     origin_x: float,
     axis_y: float,
@@ -209,12 +187,15 @@ def gather(
     side: int,
     period_y: int,
     period_x: int,
+    layers: int,
     pixel_rows: int,
     pixel_cols: int,
     steps: int,
 ):
-    py, px = wp.tid()
-    channel = cfa[py % period_y, px % period_x]
+    layer, py, px = wp.tid()
+    channel = layer
+    if layers == 1:
+        channel = cfa[py % period_y, px % period_x]
     y = float(py) - 0.5 * float(pixel_rows - 1)
     x = float(px) - 0.5 * float(pixel_cols - 1)
     # the lenslet whose image of the pupil's middle is nearest
@@ -226,8 +207,8 @@ def gather(
     step_x = 2.0 * radius / float(cells_x)
     last = float(side) - 1.001
     total = float(0.0)
-    if own_a >= 0 and own_a < count_a and own_b >= 0 and own_b < count_b:
-        total = far_light[channel, own_a * count_b + own_b]
+    if has_far != 0:
+        total = far_light[channel, py, px]
     for a in range(wp.max(own_a - around_a, 0), wp.min(own_a + around_a, count_a - 1) + 1):
         for b in range(wp.max(own_b - around_b, 0), wp.min(own_b + around_b, count_b - 1) + 1):
             lenslet = a * count_b + b
@@ -262,4 +243,4 @@ def gather(
                             lower = b0 + fx * (b1 - b0)
                             own += (upper + fy * (lower - upper)) * light[j, i, channel, at]
                     total += share[lenslet, part] * own
-    pixels[0, py, px] = total
+    pixels[layer, py, px] = total
