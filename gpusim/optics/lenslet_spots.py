@@ -16,7 +16,9 @@ from gpusim.optics.lenslets import LensletPlane, index_range
 # share of the light, of both axes, that is left to the convolution, with wider windows for spots below half a pixel
 CONVOLVED_TAIL = 3e-2
 LEAST_REACH = 4.0  # pixels of the window beyond the image of a cell: its slope is smooth for samples of a pixel
-WRAPPED_TAIL = 2e-4  # of a channel's light that the transform may bring back from the other side of the frame
+WRAPPED_TAIL = (
+    2e-4  # of a channel's light that the transform may bring back from the other side of the frame
+)
 STEPS = 32  # samples of a pixel
 LINES = 16  # lines of a sample on which its share with a lenslet is measured
 ROWS = 256  # of a transfer function at once
@@ -165,7 +167,9 @@ def spot_tables(plane: LensletPlane, cells: tuple[int, int]) -> SpotTables:
     image, part = _light_boxes(plane, cells)
     far = max(2 * max(plane.spots) / (np.pi**2 * CONVOLVED_TAIL), LEAST_REACH)
     reach = int(np.ceil((max(image) + part) / 2 + far))
-    slope = np.clip(2 - 2 * np.abs(np.arange(-reach * STEPS, reach * STEPS + 1)) / reach / STEPS, 0, 1)
+    slope = np.clip(
+        2 - 2 * np.abs(np.arange(-reach * STEPS, reach * STEPS + 1)) / reach / STEPS, 0, 1
+    )
     window = np.outer(*[np.sin(np.pi / 2 * slope) ** 2] * 2)
     near = []
     for spot in plane.spots:
@@ -248,7 +252,9 @@ def _light_boxes(plane, cells):
 
 def _spot_table(plane, image, part, spot, reach, aperture):
     """Return the light that pixels get at distances within `reach`, STEPS per pixel, 0 in the middle."""
-    span = max(128, 4 * reach)  # light comes back after it; what far_transfer leaves makes up for that
+    span = max(
+        128, 4 * reach
+    )  # light comes back after it; what far_transfer leaves makes up for that
     most = int(min(2 / np.sqrt(3) / spot, STEPS / 2) * span)
     nu = np.arange(-most, most + 1) / span
     spectrum = _spot_spectrum(plane, image, part, spot, aperture, (nu, nu))
