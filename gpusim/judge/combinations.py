@@ -21,6 +21,7 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import GpusimError, one_line
+from gpusim.domain.mask import Mask
 from gpusim.domain.illuminated import Illuminated
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.optics import Optics
@@ -34,6 +35,7 @@ NEAR, FOCUS = 0.8, 2.0  # [m]
 EXPOSURE = 0.01  # [s]
 FOCAL_PIXELS = 40.0  # focal length of calibrations and of the fisheye [pixel]
 K1, K2 = 0.2, 0.2  # radial coefficients: they move a corner by 5 pixels
+MASK = Mask(np.array([[1.0, 0.0, 1.0], [0.3, 1.0, 0.0]]))  # not even: kernels are mirrored by it
 MOST_LEFT_OUT = 0.02  # relative rms error of an effect that is left out, at most
 WHOLE_LENS = "measured spreads are of the whole lens, with its pupil, wavefront and filters"
 
@@ -267,6 +269,7 @@ FEATURES = (
                 "Seidel",
                 "lateral colour",
                 "low-pass",
+                "mask",
             ),
             WHOLE_LENS,
         ),
@@ -274,6 +277,7 @@ FEATURES = (
     Feature("Zernike", lambda case: _aberrate(case, zernike=(0, 0, 0, 0, 0.1, 0, 0.12, 0.05))),
     Feature("blades", lambda case: _shape_pupil(case, blades=6)),
     Feature("obscuration", lambda case: _shape_pupil(case, obscuration=0.4)),
+    Feature("mask", lambda case: _shape_pupil(case, mask=MASK)),
     Feature("Seidel", lambda case: _aberrate(case, seidel=(0.0, 0.6, 0.4, 0.3, 0.0))),
     Feature("distortion", _geometry("distortion")),
     Feature("lateral colour", _color_laterally),

@@ -18,8 +18,8 @@ from gpusim.judge.combinations import FEATURES, NAMES, Made, combinations
 
 DOCS = Path(__file__).parents[2] / "docs"
 WANTED = {  # the parts of the matrix: names that files, reports and docs use for them
-    *("measured spread", "Zernike", "blades", "obscuration", "Seidel", "distortion"),
-    *("lateral colour", "low-pass", "optical axis", "calibration", "fisheye"),
+    *("measured spread", "Zernike", "blades", "obscuration", "mask", "Seidel"),
+    *("distortion", "lateral colour", "low-pass", "optical axis", "calibration", "fisheye"),
     *("depth", "layers", "highlights", "supersampling", "several lights", "several views"),
     *("stacked", "quad-Bayer", "binning", "rolling shutter", "motion"),
     *("reads", "burst", "bracket", "video", "preview", "batch"),
@@ -41,7 +41,7 @@ def numbers(case):
 
 def test_all_features_are_there_once():
     assert set(NAMES) == WANTED
-    assert len(NAMES) == len(WANTED) == 28
+    assert len(NAMES) == len(WANTED) == 29
     for feature in FEATURES:
         assert set(feature.excludes) <= WANTED - {feature.name}
 
@@ -147,7 +147,7 @@ def test_the_page_has_every_feature_and_reason():
     _, rows, lines = block()
     assert [row[0] for row in rows] == NAMES
     marks = {*matrix.MARKS.values(), ""}
-    assert all(len(row) == 30 and set(row[2:]) <= marks for row in rows)
+    assert all(len(row) == 31 and set(row[2:]) <= marks for row in rows)
     for feature in FEATURES:
         for other, reason in feature.excludes.items():
             assert any(reason in line and other in line for line in lines)
