@@ -21,8 +21,8 @@ from gpusim.domain.camera import Camera
 from gpusim.domain.content import Basis
 from gpusim.domain.distortion import RadialPolynomial
 from gpusim.domain.errors import GpusimError, one_line
-from gpusim.domain.mask import Mask
 from gpusim.domain.illuminated import Illuminated
+from gpusim.domain.mask import Mask
 from gpusim.domain.mosaics import mosaic
 from gpusim.domain.optics import Optics
 from gpusim.domain.psf import PointSpread

@@ -73,7 +73,7 @@ def stars(places, shape, samples=2.0):
 def test_disparity_is_linear_in_defocus_over_the_field(dual):
     """Centroids of points' images in both halves, less in focus, over the sensor's displacement.
 
-    Light beyond r pixels falls as r^-4 and leaves 1 / r of a centroid: two windows give the rest of it. They are smooth:
+    Light beyond r pixels falls as r^-4 and leaves 1 / r of a centroid: two windows give the rest. They are smooth:
     a sharp one adds the light at its edge times the difference of the shares there, 1 % if borders move over the field.
     Shares within a point's image then differ, too: by 0.0035 a pixel for 0.06 rad, which displaces the two centroids by
     this times the image's variance, 0.06 pixel at the largest defocus, on both sides of the focus alike.
