@@ -213,7 +213,7 @@ def far_transfer(
     Returns:
         Real and zero imaginary parts side by side, float32, shape (channels, period[0], 2 (period[1] // 2 + 1)).
     """
-    boxes = _light_boxes(plane, cells)
+    image, part = _light_boxes(plane, cells)
     rows, cols = np.fft.fftfreq(period[0]), np.arange(period[1] // 2 + 1) / period[1]
     # the spline passes through the light at whole distances
     knots = [(2 + np.cos(2 * np.pi * nu)) / 3 for nu in (rows, cols)]
@@ -230,7 +230,12 @@ def far_transfer(
             for down in folds:
                 for across in folds:
                     total += _spot_spectrum(
-                        plane, *boxes, spot, plane.aperture, (rows[lines] + down, cols + across)
+                        plane,
+                        image,
+                        part,
+                        spot,
+                        plane.aperture,
+                        (rows[lines] + down, cols + across),
                     )
             found[number, lines, :, 0] = total / knots[0][lines, None] / knots[1]
     return found.reshape(len(found), len(rows), -1)
