@@ -21,6 +21,7 @@ _PLACES = {
     "study": ("study", "StudyRequest", "study", "TEXTS"),
     "preview": ("preview", "PreviewRequest", "preview", "TEXTS"),
     "fit": ("fit", "FitRequest", "fit", "TEXTS"),
+    "cameras": ("cameras", "CamerasRequest", "cameras", "TEXTS"),
     "refocus": ("refocus", "RefocusRequest", "refocus", "TEXTS"),
     "train-l3": ("train_l3", "TrainRequest", "train_l3", "TEXTS"),
     "train-network": ("train_network", "TrainNetworkRequest", "train_network", "TEXTS"),

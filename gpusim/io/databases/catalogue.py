@@ -1,6 +1,7 @@
 """All cameras and lenses that the installed data bases know, under one name each."""
 
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,6 +15,8 @@ from gpusim.io.databases.libcamera import Tuning, read_tuning
 from gpusim.io.databases.noise_profiles import CameraNoise, read_noise_profiles
 from gpusim.io.databases.places import KINDS, Place, find_places
 from gpusim.io.databases.words import key_of, nearest, parts_of, search
+
+_FOCAL, _ZOOM = re.compile(r"\d\s*mm", re.I), re.compile(r"\d\s*-\s*\d")  # in a lens's name
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,15 @@ class Catalogue:
             lenses = [one for one in lenses if mounts & set(one.mounts)]
         found = search(_text(words, "lens"), lenses, lambda one: one.names)
         order = {id(one): number for number, one in enumerate(found)}
-        return sorted(found, key=lambda one: (_misfit(one, body), order[id(one)]))
+        is_prime = bool(_FOCAL.search(words)) and not _ZOOM.search(words)
+        return sorted(
+            found,
+            key=lambda one: (
+                is_prime and one.focal[0] != one.focal[1],
+                _misfit(one, body),
+                order[id(one)],
+            ),
+        )
 
     def camera(self, words: str) -> CameraEntry:
         """Return the one camera of a name. Raises UnknownName with near names."""
