@@ -79,6 +79,8 @@ GROUPS = {  # by the module of a public name, in the order of the page
     ),
     "Cameras": (
         "io.camera.cameras",
+        "io.databases.catalogue",
+        "apps.named.compose",
         "domain.camera",
         "domain.optics",
         "domain.mask",

@@ -17,6 +17,7 @@ __version__ = "0.1.0"
 
 # module -> names; resolved on first use, which keeps `import gpusim` fast
 _NAMES = {
+    "apps.named.compose": ("compose_camera",),
     "apps.preview": ("preview",),
     "apps.study": ("study",),
     "apps.tensors.batches": ("PictureBatch",),
@@ -84,6 +85,7 @@ _NAMES = {
     "io.camera.optiland": ("optiland_psf",),
     "io.camera.psf": ("read_psf", "write_psf"),
     "io.camera.zemax": ("read_zemax_psf",),
+    "io.databases.catalogue": ("find_cameras", "find_lenses"),
     "io.frame.events": ("write_events",),
     "io.frame.view_images": ("open_views", "save_views"),
     "io.scene.arrays": ("scene_from",),
@@ -194,6 +196,9 @@ if TYPE_CHECKING:
     from gpusim.optics.panorama import view_panorama as view_panorama
     from gpusim.pipeline.exposure import Exposure as Exposure
     from gpusim.pipeline.frame import Frame as Frame
+    from gpusim.apps.named.compose import compose_camera as compose_camera
+    from gpusim.io.databases.catalogue import find_cameras as find_cameras
+    from gpusim.io.databases.catalogue import find_lenses as find_lenses
     from gpusim.io.scene.arrays import scene_from as scene_from
     from gpusim.io.frame.events import write_events as write_events
     from gpusim.io.frame.view_images import open_views as open_views, save_views as save_views

@@ -95,8 +95,9 @@ def cameras(request: CamerasRequest) -> int:
     Raises:
         GpusimError: An option or a data base is wrong, or no camera or lens has the name.
     """
-    from gpusim.apps.named.compose import Wish, compose
+    from gpusim.apps.named.compose import compose
     from gpusim.apps.named.listing import camera_lines, composed_lines, database_lines, lens_lines
+    from gpusim.apps.named.wish import Wish
     from gpusim.io.atomic import check_output
     from gpusim.io.databases.catalogue import open_catalogue
 

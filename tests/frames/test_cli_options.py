@@ -20,6 +20,7 @@ import h5py
 import numpy as np
 import pytest
 from bench_results import made_results
+from named_databases import profile_bytes, write_databases
 from PIL import Image
 
 import gpusim as gs
@@ -46,6 +47,7 @@ vary = {"noise.read_e" = {uniform = [1, 5]}}
 scenes = {flat = {scene = "flat", size = [8, 8]}}
 measures = ["dynamic_range"]
 """
+NAMED = "'Acme Z1' --databases databases"
 PARTS = f"parts.exr {ON} --exposure 1/60"
 
 # Options of a scene, its camera and the planner: a name, the arguments before it, and its own
@@ -205,6 +207,21 @@ ROWS = {
         "white": (f"{VIEWS} -o out.png", "--white 3"),
         "device": (f"{VIEWS} -o out.npy", "--device warp:cpu"),
     },
+    "cameras": {
+        "name": ("--databases databases", "'Acme Z1'"),
+        "iso": (NAMED, "--iso 100"),
+        "lens": (NAMED, "--lens zoom"),
+        "focal_length": (f"{NAMED} --lens zoom --iso 100", "--focal-length 30"),
+        "f_number": (f"{NAMED} --iso 100", "--f-number 4"),
+        "distance": (f"{NAMED} --iso 100", "--distance 3"),
+        "columns": (f"{NAMED} --iso 100", "--columns 300"),
+        "channel": (f"{NAMED} --iso 100", "--channel R"),
+        "full_well": (f"{NAMED} --iso 100", "--full-well 20000"),
+        "profile": ("'Acme Z10' --databases databases --iso 100", "--profile own.dcp"),
+        "sensitivity": (f"{NAMED} --iso 100", "--sensitivity own.csv"),
+        "databases": ("'Acme Z1'", "--databases databases"),
+        "out": (NAMED, "-o out.toml"),
+    },
     "train-l3": {
         "camera": ("--camera phone -o out.npz", "--camera machine-vision"),
         "out": ("--camera phone -o out.npz", "-o other.npz"),
@@ -339,6 +356,9 @@ def inputs(tmp_path_factory):
         Image.fromarray(picture).save(folder / f"{name}.png")
     (folder / "dual.toml").write_text('[sensor]\ndual = {split = "left-right"}\n')
     (folder / "study.toml").write_text(STUDY)
+    write_databases(folder / "databases")
+    (folder / "own.dcp").write_bytes(profile_bytes())
+    (folder / "own.csv").write_text("wavelength_nm,R,G,B\n400,0,0,1\n550,0,1,0\n700,1,0,0\n")
     (folder / "stored.json").write_text(json.dumps(STORED))
     compared = *made_results(10, 3, sides=3), made_results(10, 3, change={1: 0.1})[1]
     compared[2]["rows"][0]["hash"] = "another"

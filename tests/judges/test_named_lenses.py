@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 import gpusim as gs
-from gpusim.apps.named.compose import Wish, compose
+from gpusim.apps.named.compose import compose
+from gpusim.apps.named.wish import Wish
 from gpusim.color.lens_correction import find_correction
 from gpusim.domain.distortion import ideal
 from gpusim.domain.errors import GpusimError
@@ -147,7 +148,9 @@ def test_vignetting_of_a_flat(catalogue, known, tmp_path):
         assert modifier.apply_color_modification(gains)
         optics = dataclasses.replace(camera.optics, model="none", lateral_color=0.0)
         camera = dataclasses.replace(camera, optics=optics)
-        scene = dataclasses.replace(gs.chart("flat", size=size, wavelengths=[500, 600]), border="edge")
+        scene = dataclasses.replace(
+            gs.chart("flat", size=size, wavelengths=[500, 600]), border="edge"
+        )
         mean = np.asarray(gs.Simulator(camera, device="numpy")(scene, seed=1).mean, np.float64)
         place = np.argwhere(camera.sensor.cfa_indices == 1)[0]
         high, wide = camera.sensor.cfa_indices.shape

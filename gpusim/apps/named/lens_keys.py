@@ -99,11 +99,7 @@ def add_lens(sheet: Sheet, lens: Lens, use: Use, frame: FrameSize, label: str, q
 
 def radius_unit(lens: Lens, frame: FrameSize) -> float:
     """Return the pixels of radius 1: half the short side of the frame of calibration."""
-    return (
-        frame.half_diagonal
-        * (frame.crop / lens.crop)
-        / math.hypot(lens.aspect, 1)
-    )
+    return frame.half_diagonal * (frame.crop / lens.crop) / math.hypot(lens.aspect, 1)
 
 
 def _where(found: Calibration, own) -> str:

@@ -37,7 +37,11 @@ def database_lines(catalogue: Catalogue) -> list[str]:
         count = sum(bool(COUNTS[kind](one)) for one in catalogue.cameras)
         more = f", {len(catalogue.lenses)} lenses" if kind == "lensfun" and place else ""
         rows.append(
-            (kind, f"{count}{more}" if place else "-", place.label if place else f"not found; {way}")
+            (
+                kind,
+                f"{count}{more}" if place else "-",
+                place.label if place else f"not found; {way}",
+            )
         )
     return [*align(rows), f"Folders of --databases and of {VARIABLE} are searched first."]
 

@@ -44,9 +44,9 @@ class CameraEntry:
     __repr__ = short_repr
 
     @property
-    def names(self) -> str:
-        """All names, for a search."""
-        return " ".join((self.name, *self.aliases))
+    def names(self) -> tuple[str, ...]:
+        """All names, the main one first."""
+        return self.name, *self.aliases
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,8 @@ class Catalogue:
         """Return the one camera of a name. Raises UnknownName with near names."""
         found = self.find(words)
         wanted = "".join(parts_of(words))
-        exact = [
-            one for one in found if any(wanted in _squeezed(name) for name in _all_names(one))
-        ]
-        whole = [one for one in found if set(parts_of(words)) <= set(parts_of(one.names))]
+        exact = [one for one in found if any(wanted in _squeezed(name) for name in one.names)]
+        whole = [one for one in found if set(parts_of(words)) <= set(parts_of(" ".join(one.names)))]
         for some in (exact, whole, found):
             if len(some) == 1:
                 return some[0]
@@ -111,7 +109,7 @@ class Catalogue:
             )
         if not self.cameras:
             raise BadData(f"no data base of cameras is found; {how_to_get()}")
-        near = nearest(words, [name for one in self.cameras for name in _all_names(one)])
+        near = nearest(words, [name for one in self.cameras for name in one.names])
         raise BadData(_unknown("camera", words, near))
 
     def lens(self, words: str, camera: CameraEntry | None) -> tuple[Lens, list[Lens]]:
@@ -146,10 +144,6 @@ def _text(words, what):
 def _unknown(what, words, near):
     shown = ", ".join(near) if near else "none; fewer or other words may find it"
     return f"no {what} with the words {format_value(words)}; near names: {shown}"
-
-
-def _all_names(entry):
-    return (entry.name, *entry.aliases)
 
 
 def _squeezed(name):
@@ -282,4 +276,6 @@ def find_lenses(
     """
     _text(words, "lens")
     catalogue = open_catalogue(databases)
-    return catalogue.find_lenses(words, catalogue.camera(_text(camera, "camera")) if camera else None)
+    return catalogue.find_lenses(
+        words, catalogue.camera(_text(camera, "camera")) if camera else None
+    )

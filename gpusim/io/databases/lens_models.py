@@ -123,9 +123,7 @@ def interpolate_vignetting(
     else:
         weights = apart**-POWER
         mean = weights @ terms / weights.sum()
-    return Calibration(
-        calibrations[nearest].model, tuple(mean.tolist()), focal, f_number, distance
-    )
+    return Calibration(calibrations[nearest].model, tuple(mean.tolist()), focal, f_number, distance)
 
 
 def distortion_of(calibration: Calibration) -> Callable[[np.ndarray], np.ndarray]:

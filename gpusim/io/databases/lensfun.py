@@ -91,9 +91,9 @@ class Lens:
         )
 
     @property
-    def names(self) -> str:
-        """All names, for a search."""
-        return " ".join((self.name, *self.aliases))
+    def names(self) -> tuple[str, ...]:
+        """All names, the main one first."""
+        return self.name, *self.aliases
 
 
 @dataclass(frozen=True)

@@ -143,7 +143,9 @@ def _whites(path, part):
         return ()
     values = numbers_of(path, "ct_curve", part["ct_curve"], None, 1e5)
     if len(values) % 3:
-        raise BadFile(path, f"ct_curve has {len(values)} numbers; wanted three for each temperature")
+        raise BadFile(
+            path, f"ct_curve has {len(values)} numbers; wanted three for each temperature"
+        )
     rows = sorted(zip(values[::3], values[1::3], values[2::3], strict=True))
     return tuple(rows)
 

@@ -32,7 +32,7 @@ def key_of(maker: str, model: str) -> str:
     return "".join([*words, *rest])
 
 
-def search(words: str, items: Iterable[Item], name: Callable[[Item], str]) -> list[Item]:
+def search(words: str, items: Iterable[Item], names: Callable[[Item], Sequence[str]]) -> list[Item]:
     """Return the items whose names have all words, best first.
 
     Numbers must agree whole, so that 750 does not find 7500; words may be the beginnings of words.
@@ -41,16 +41,15 @@ def search(words: str, items: Iterable[Item], name: Callable[[Item], str]) -> li
     Args:
         words: What the user typed.
         items: Where to search.
-        name: All names of an item as one text.
+        names: Returns all names of an item, the main one first.
     """
     wanted = parts_of(words)
     found = []
     for item in items:
-        text = name(item)
-        own = parts_of(text)
-        rank = _rank(wanted, own)
+        every = names(item)
+        rank = _rank(wanted, parts_of(" ".join(every)))
         if rank is not None:
-            found.append((rank, len(own), text, item))
+            found.append((rank, len(parts_of(every[0])), every[0], item))
     found.sort(key=lambda one: one[:3])
     return [item for *_, item in found]
 
