@@ -56,7 +56,8 @@ class CamerasRequest(Options):
     columns: int | None = option(
         type=int,
         metavar="PIXELS",
-        help="pixels along the long side of the whole sensor (default: the data base's, or a guess)",
+        help="pixels along the long side of the whole sensor (default: the data base's, or a "
+        "guess); much fewer skip pixels",
     )
     channel: str = option(
         default="G",
@@ -132,9 +133,9 @@ def cameras(request: CamerasRequest) -> int:
             sensitivity=request.sensitivity,
         ),
     )
-    print("\n".join(composed_lines(composed)))
     if request.out:
         composed.save(request.out)
+    print("\n".join(composed_lines(composed)))
     return 0
 
 

@@ -69,7 +69,7 @@ def test_cameras_of_all_data_bases_are_one(folder):
     assert find_cameras("z3", databases=folder) == []
     with pytest.raises(BadData, match=r"near names: .*Acme Z1"):
         catalogue.camera("Akme Z1")
-    with pytest.raises(UnknownName, match="several"):
+    with pytest.raises(BadData, match="several cameras have the words 'acme': Acme"):
         catalogue.camera("acme")
 
 

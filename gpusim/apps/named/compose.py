@@ -22,6 +22,7 @@ from gpusim.io.databases.catalogue import CameraEntry, Catalogue, open_catalogue
 from gpusim.io.databases.lensfun import FULL_DIAGONAL, Lens
 from gpusim.io.databases.libcamera import SENSORS
 
+SKIPPED = 0.7  # share of the sensor's columns below which a wish for columns skips pixels
 COLUMNS, SMALL_COLUMNS, SMALL_CROP = (
     6000,
     4000,
@@ -90,6 +91,7 @@ def compose_camera(
         f_number: None: the lens's smallest.
         distance: Of the plane in focus [m].
         columns: Pixels along the long side of the whole sensor; None: the data base's, or a guess.
+            Much fewer than that skip pixels, which keep their size and noise.
         channel: "R", "G" or "B", whose noise of darktable's data base the pixels get.
         full_well: Electrons at white at the lowest ISO [e-]; None: those of the noise data.
         profile: A DNG camera profile (.dcp, .dng) of the colours in place of the data base's.
@@ -100,12 +102,12 @@ def compose_camera(
         The camera and its file.
 
     Raises:
-        BadData: There is no such camera or lens (near names are given), or an argument has the wrong
-            type.
+        BadData: There is no such camera or lens, or there are several (near names are given), or an
+            argument has the wrong type.
         BadFile: A data base is damaged, or a file cannot be used.
         Conflict: Two arguments exclude each other.
         OutOfRange: A number is out of its range.
-        UnknownName: Several cameras have these words, or there is no such channel.
+        UnknownName: There is no such channel.
     """
     wish = Wish(
         iso,
@@ -155,36 +157,51 @@ def _frame(sheet, entry: CameraEntry, wish, catalogue) -> FrameSize:
     """Return the sensor's pixels, and add the pitch."""
     body, tuning = entry.body, entry.tuning
     if tuning is not None and tuning.name.split("_")[0] in SENSORS:
-        columns, rows, pitch, _ = SENSORS[tuning.name.split("_")[0]]
-        if wish.columns not in (None, columns):
-            pitch, rows = pitch * columns / wish.columns, round(rows * wish.columns / columns)
-            columns = wish.columns
-        sheet.add("sensor", f"the data sheet of {tuning.name}", pixel_pitch_um=pitch)
-        crop = FULL_DIAGONAL / (math.hypot(columns, rows) * pitch * 1e-3)
-        return FrameSize(columns, rows, pitch * 1e-6, crop)
-    crop, aspect = (body.crop, body.aspect) if body else (1.5, 1.5)
-    size = entry.constants.size if entry.constants else None
-    if wish.columns is not None:
-        columns, rows = wish.columns, max(1, round(wish.columns / aspect))
-        of = f"{columns} columns (given)"
-    elif size is not None and abs(size[0] / size[1] / aspect - 1) < 0.03:
-        (columns, rows), of = size, f"{size[0]} columns ({catalogue.places['camconst'].label})"
+        own, own_rows, pitch, _ = SENSORS[tuning.name.split("_")[0]]
+        of, width = f"the data sheet of {tuning.name}", own * pitch * 1e-3
+        crop, ratio = FULL_DIAGONAL / (math.hypot(own, own_rows) * pitch * 1e-3), own / own_rows
     else:
-        columns = SMALL_COLUMNS if crop > SMALL_CROP else COLUMNS
-        rows, of = max(1, round(columns / aspect)), f"{columns} columns, a guess"
-    width = FULL_DIAGONAL / crop / math.hypot(1, 1 / aspect)
+        crop = body.crop if body else 1.5
+        ratio, is_known = _aspect(entry, crop, catalogue.built_in(entry))
+        width = FULL_DIAGONAL / crop / math.hypot(1, 1 / ratio)
+        of = (
+            f"crop factor {crop:g} ({catalogue.places['lensfun'].label}, {body.file}: {body.maker} {body.model})"
+            if body
+            else f"{GUESS}crop factor {crop:g}"
+        )
+        of += f", {ratio:.3g} : 1{'' if is_known else ' (guess)'}: width {width:.4g} mm"
+        size = entry.constants.size if entry.constants else None
+        own = SMALL_COLUMNS if crop > SMALL_CROP else COLUMNS
+        own_rows = max(1, round(own / ratio))
+        if size is not None and abs(size[0] / size[1] / ratio - 1) < 0.03:
+            own, own_rows = size
+            of += f" over {own} columns ({catalogue.places['camconst'].label})"
+        elif wish.columns is None:
+            of = f"{GUESS}{own} columns; {of.removeprefix(GUESS)}"
+    columns, rows = own, own_rows
+    if wish.columns is not None:
+        columns, rows = wish.columns, max(1, round(own_rows * wish.columns / own))
+        of += f"; {columns} columns (given)"
     pitch = width / columns * 1e-3
-    where = (
-        f"crop factor {crop:g} ({catalogue.places['lensfun'].label}, {body.file}: {body.maker} {body.model})"
-        if body
-        else f"crop factor {crop:g}, a guess"
-    )
-    is_guess = body is None or "guess" in of
-    start = GUESS if is_guess else ""
-    sheet.add(
-        "sensor", f"{start}{where}, width {width:.4g} mm over {of}", pixel_pitch_um=pitch * 1e6
-    )
-    return FrameSize(columns, rows, pitch, crop)
+    sheet.add("sensor", of, pixel_pitch_um=pitch * 1e6)
+    if columns > SKIPPED * own:
+        return FrameSize(columns, rows, pitch, crop, pitch)
+    own_pitch = width / own * 1e-3
+    source = f"few of the sensor's columns: every one is a pixel of {own_pitch * 1e6:.3g} um, others are skipped"
+    sheet.add("sensor", source, fill_factor=(own_pitch / pitch) ** 2)
+    return FrameSize(columns, rows, pitch, crop, own_pitch)
+
+
+def _aspect(entry, crop, lens) -> tuple[float, bool]:
+    """Return long side over short side, and whether body, lens or mount say so."""
+    body = entry.body
+    if body is not None and body.aspect:
+        return body.aspect, True
+    if lens is not None and lens.aspect != 1.5:
+        return lens.aspect, True
+    if body is not None and "4/3" in body.mount:
+        return 4 / 3, True
+    return (4 / 3 if crop > SMALL_CROP else 1.5), False
 
 
 def _choose_lens(sheet, catalogue, entry, wish) -> Lens | None:
@@ -199,11 +216,7 @@ def _choose_lens(sheet, catalogue, entry, wish) -> Lens | None:
                 f"{', '.join(names[:4])}{more}."
             )
         return lens
-    body = entry.body
-    if body is not None and body.mount[:1].islower():  # lensfun's mark of a lens that stays on
-        own = [one for one in catalogue.lenses if body.mount in one.mounts]
-        return min(own, key=lambda one: len(one.model), default=None)
-    return None
+    return catalogue.built_in(entry)
 
 
 def _add_lens(sheet, lens, wish, frame, catalogue, curves):
@@ -228,7 +241,7 @@ def _add_lens(sheet, lens, wish, frame, catalogue, curves):
     use = _use(lens, wish)
     label = catalogue.places["lensfun"].label
     own = f"{label}, {lens.file}: {lens.name}"
-    source = "given" if wish.f_number else f"{own}: its smallest, {_known_aperture(lens)}"
+    source = "given" if wish.f_number else f"{own}: its smallest"
     if not wish.f_number and not _aperture(lens, use.focal)[1]:
         source = f"{GUESS}lensfun does not know the f-number of {lens.name}"
     sheet.add("optics", source, f_number=use.f_number)
@@ -254,17 +267,13 @@ def _use(lens, wish) -> Use:
 
 
 def _aperture(lens, focal) -> tuple[float, bool]:
-    """Return the smallest f-number, and whether it is known: the entry's, the name's, a calibration's."""
+    """Return the smallest f-number, and whether calibrations, the entry or the name say it."""
+    near = [one.aperture for one in lens.vignetting if abs(one.focal - focal) < 0.1 * focal]
+    if near and lens.focal[0] != lens.focal[1]:
+        return min(near), True
     if lens.aperture[0]:
         return lens.aperture[0], True
     named = re.search(r"(?:f/?|1:)\s?(\d+(?:\.\d+)?)", lens.model, re.I)
     if named and 0.5 <= float(named[1]) <= 32:
         return float(named[1]), True
-    near = [one.aperture for one in lens.vignetting if abs(one.focal - focal) < 0.1 * focal]
     return (min(near), True) if near else (4.0, False)
-
-
-def _known_aperture(lens):
-    if lens.aperture[0]:
-        return "of the entry"
-    return "of its name or calibrations"

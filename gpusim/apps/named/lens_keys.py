@@ -38,12 +38,14 @@ class FrameSize:
         columns, rows: Number of pixels.
         pitch: [m].
         crop: Diagonal of 36 x 24 mm over the diagonal, as lensfun has it.
+        own_pitch: Of the sensor's own pixels, which are fewer or more if the user says so [m].
     """
 
     columns: int
     rows: int
     pitch: float
     crop: float
+    own_pitch: float
 
     @property
     def half_diagonal(self) -> float:

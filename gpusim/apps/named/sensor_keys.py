@@ -57,13 +57,13 @@ def add_sensor(
     else:
         source = f"sqrt(b - rounding) / a, b = {b:.5g} of {words}"
     sheet.add("noise", start + source, read_e=profile.read)
-    density = 1 / base / (frame.pitch * 1e6) ** 2
+    density = 1 / base / (frame.own_pitch * 1e6) ** 2
     if density > CROWDED * DENSITY and wish.full_well is None:
-        usual = DENSITY * (frame.pitch * 1e6) ** 2
+        usual = DENSITY * (frame.own_pitch * 1e6) ** 2
         sheet.notes.append(
             f"Noise: white is {1 / base:.3g} electrons at the lowest ISO, {density:.3g} a square micrometre, where "
-            f"pixels have 1500 .. 3500. The data base's slope is of data that were smoothed before, not of one pixel: give "
-            f"full_well, such as {usual:.2g} (--full-well), to scale all its noise."
+            f"pixels have 1500 .. 3500. The data base's slope is of data that were smoothed before, not of one pixel: "
+            f"give full_well, such as {usual:.2g} (--full-well), to scale all its noise."
         )
 
 
@@ -89,7 +89,7 @@ def _noise(sheet, entry, wish, frame, catalogue):
         of = f"{catalogue.places['libcamera'].label}: {entry.tuning.name}, rpi.noise at gain {iso / 100:g}"
         sheet.notes.append("Read noise: libcamera's noise has only a slope (its constant is 0).")
     else:
-        base = 1 / (DENSITY * (frame.pitch * 1e6) ** 2)
+        base = 1 / (DENSITY * (frame.own_pitch * 1e6) ** 2)
         iso = 100.0 if iso is None else float(iso)
         a, b = base * iso / 100, (READ * base) ** 2 * iso / 100
         return (

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from gpusim.domain.errors import BadData, UnknownName, format_value
+from gpusim.domain.errors import BadData, format_value
 from gpusim.domain.progress import announced
 from gpusim.domain.short_repr import short_repr
 from gpusim.io.databases.camconst import Constants, read_camconst
@@ -93,24 +93,34 @@ class Catalogue:
         )
 
     def camera(self, words: str) -> CameraEntry:
-        """Return the one camera of a name. Raises UnknownName with near names."""
+        """Return the one camera of a name. Raises BadData with near names."""
         found = self.find(words)
         wanted = "".join(parts_of(words))
         exact = [one for one in found if any(wanted in _squeezed(name) for name in one.names)]
-        whole = [one for one in found if set(parts_of(words)) <= set(parts_of(" ".join(one.names)))]
-        for some in (exact, whole, found):
+        main = [one for one in exact if wanted in _squeezed(one.name)]
+        own = set(parts_of(words))
+        whole = [one for one in found if own <= set(parts_of(" ".join(one.names)))]
+        for some in (main, exact, whole, found):
             if len(some) == 1:
                 return some[0]
         if found:
-            raise UnknownName(
-                "camera (several have these words; give one name)",
-                words,
-                [one.name for one in (exact or whole or found)[:6]],
+            names = [one.name for one in main or exact or whole or found]
+            more = f" and {len(names) - 6} more" if len(names) > 6 else ""
+            raise BadData(
+                f"several cameras have the words {format_value(words)}: {', '.join(names[:6])}{more}; give a whole name"
             )
         if not self.cameras:
             raise BadData(f"no data base of cameras is found; {how_to_get()}")
         near = nearest(words, [name for one in self.cameras for name in one.names])
         raise BadData(_unknown("camera", words, near))
+
+    def built_in(self, camera: CameraEntry) -> Lens | None:
+        """Return the lens that stays on a camera; None if it takes others, or lensfun does not know it."""
+        body = camera.body
+        if body is None or not body.mount[:1].islower():  # lensfun's mark
+            return None
+        own = [one for one in self.lenses if body.mount in one.mounts]
+        return min(own, key=lambda one: len(one.model), default=None)
 
     def lens(self, words: str, camera: CameraEntry | None) -> tuple[Lens, list[Lens]]:
         """Return the best lens for words, and the others. Raises BadData with near names."""

@@ -37,7 +37,7 @@ class Body:
         aliases: Further names, such as those in other countries.
         mount: Of lenses.
         crop: Diagonal of 36 x 24 mm over the sensor's diagonal.
-        aspect: Long side over short side.
+        aspect: Long side over short side; 0 if the entry does not say.
         file: Name of the file.
     """
 
@@ -183,7 +183,13 @@ def _body(path, item) -> Body:
     mounts = _texts(item, "mount")[0]
     crop = _positive(path, model, "cropfactor", _texts(item, "cropfactor")[0], 1e3)
     return Body(
-        maker, model, aliases, mounts[0] if mounts else "", crop, _aspect(path, item), path.name
+        maker,
+        model,
+        aliases,
+        mounts[0] if mounts else "",
+        crop,
+        _aspect(path, item, 0.0),
+        path.name,
     )
 
 
@@ -199,11 +205,11 @@ def _positive(path, model, tag, texts, most):
     return value
 
 
-def _aspect(path, item) -> float:
-    """Return long side over short side; without an entry 1.5."""
+def _aspect(path, item, default: float) -> float:
+    """Return long side over short side."""
     texts = _texts(item, "aspect-ratio")[0]
     if not texts:
-        return 1.5
+        return default
     try:
         long, _, short = texts[0].partition(":")
         value = float(long) / float(short or 1)
@@ -231,7 +237,7 @@ def _lens(path, item) -> Lens:
         aliases,
         tuple(_texts(item, "mount")[0]),
         _positive(path, model, "cropfactor", [one for one in crops if one] or ["1"], 1e3),
-        _aspect(path, item),
+        _aspect(path, item, 1.5),  # as lensfun takes it
         PROJECTIONS.get(projection, projection),
         focal if any(focal) else _focal_of(model, calibrations),
         _span(path, model, item, "aperture"),

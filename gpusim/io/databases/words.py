@@ -27,6 +27,8 @@ def key_of(maker: str, model: str) -> str:
     words = [word for word in parts_of(maker) if word not in _COMPANY][:2]
     words = words[:1] if words[:1] != ["konica"] else words
     rest = parts_of(model)
+    if "pentax" in rest[:2]:  # Ricoh's since 2011, under both makers' names
+        words, rest = ["pentax"], rest[rest.index("pentax") :]
     while rest and (rest[0] in words or rest[0] in _COMPANY):
         rest = rest[1:]
     return "".join([*words, *rest])
