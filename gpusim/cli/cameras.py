@@ -57,7 +57,7 @@ class CamerasRequest(Options):
         type=int,
         metavar="PIXELS",
         help="pixels along the long side of the whole sensor (default: the data base's, or a "
-        "guess); much fewer skip pixels",
+        "guess); far fewer make a coarse frame",
     )
     channel: str = option(
         default="G",

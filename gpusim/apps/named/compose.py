@@ -22,7 +22,7 @@ from gpusim.io.databases.catalogue import CameraEntry, Catalogue, open_catalogue
 from gpusim.io.databases.lensfun import FULL_DIAGONAL, Lens
 from gpusim.io.databases.libcamera import SENSORS
 
-SKIPPED = 0.7  # share of the sensor's columns below which a wish for columns skips pixels
+COARSE = 0.7  # share of the sensor's columns below which pixels get the light of the sensor's own
 COLUMNS, SMALL_COLUMNS, SMALL_CROP = (
     6000,
     4000,
@@ -91,7 +91,7 @@ def compose_camera(
         f_number: None: the lens's smallest.
         distance: Of the plane in focus [m].
         columns: Pixels along the long side of the whole sensor; None: the data base's, or a guess.
-            Much fewer than that skip pixels, which keep their size and noise.
+            Far fewer make a coarse frame, whose pixels get as much light as the sensor's own.
         channel: "R", "G" or "B", whose noise of darktable's data base the pixels get.
         full_well: Electrons at white at the lowest ISO [e-]; None: those of the noise data.
         profile: A DNG camera profile (.dcp, .dng) of the colours in place of the data base's.
@@ -184,11 +184,11 @@ def _frame(sheet, entry: CameraEntry, wish, catalogue) -> FrameSize:
         of += f"; {columns} columns (given)"
     pitch = width / columns * 1e-3
     sheet.add("sensor", of, pixel_pitch_um=pitch * 1e6)
-    if columns > SKIPPED * own:
+    if columns > COARSE * own:
         return FrameSize(columns, rows, pitch, crop, pitch)
     own_pitch = width / own * 1e-3
-    source = f"few of the sensor's columns: every one is a pixel of {own_pitch * 1e6:.3g} um, others are skipped"
-    sheet.add("sensor", source, fill_factor=(own_pitch / pitch) ** 2)
+    source = f"fewer columns than the sensor's {own}: a pixel gets the light of one of {own_pitch * 1e6:.3g} um"
+    sheet.add("optics", source, transmission=(own_pitch / pitch) ** 2)
     return FrameSize(columns, rows, pitch, crop, own_pitch)
 
 
