@@ -106,7 +106,9 @@ def _judge(found, path, a, b):
     automatic = camera.with_(auto_exposure={"method": "full", "level": 0.5})
     half = gs.Simulator(automatic, device="auto")(scene).exposure_time
     black = round(np.mean(_frames(camera, scene, 1e-9, 1)))
-    full = float(np.max(_frames(camera, scene, 40 * half, 1))) - black  # all clip
+    full = (
+        float(np.median(_frames(camera, scene, 40 * half, 1))) - black
+    )  # all clip, and read noise comes on top
     points = [one for level in LEVELS for one in _points(camera, scene, half * level / 0.5)]
     points = [(mean - black, *rest) for mean, *rest in points]
     dark = [(mean - black, *rest) for mean, *rest in _points(camera, scene, 1e-9)]

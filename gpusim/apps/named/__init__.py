@@ -1,1 +1,1 @@
-"""Cameras by name, composed of what the installed data bases have on body, lens and colour."""
+"""Cameras by name, composed from the installed data bases: body, lens and colour."""

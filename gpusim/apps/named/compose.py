@@ -1,4 +1,4 @@
-"""A camera file composed of what the installed data bases have on a body, its noise, colour and lens."""
+"""A camera file composed from the installed data bases: body, noise, colour and lens."""
 
 import math
 import os
@@ -37,7 +37,7 @@ class ComposedCamera:
     Attributes:
         camera: The camera.
         keys: The values of its file, with their sources.
-        notes: What the reader should know.
+        notes: For the reader.
         text: The camera file (TOML) with a comment above every value.
         size: Columns and rows of the whole frame [pixel].
     """
@@ -93,7 +93,7 @@ def compose_camera(
         columns: Pixels along the long side of the whole sensor; None: the data base's, or a guess.
             Far fewer make a coarse frame, whose pixels get as much light as the sensor's own.
         channel: "R", "G" or "B", whose noise of darktable's data base the pixels get.
-        full_well: Electrons at white at the lowest ISO [e-]; None: those of the noise data.
+        full_well: Electrons at white at the lowest ISO [e-]; None: as the noise data have it.
         profile: A DNG camera profile (.dcp, .dng) of the colours in place of the data base's.
         sensitivity: A .csv file of measured sensitivities in place of a fit to matrices.
         databases: A folder with data bases, or several; searched before the usual places.

@@ -42,7 +42,7 @@ class Sheet:
     Attributes:
         name: Of the camera.
         keys: In the order of the file, section by section.
-        notes: What the file's reader should know.
+        notes: For the reader of the file.
     """
 
     name: str

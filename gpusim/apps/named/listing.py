@@ -47,7 +47,7 @@ def database_lines(catalogue: Catalogue) -> list[str]:
 
 
 def camera_lines(cameras: Sequence[CameraEntry]) -> list[str]:
-    """Return a table of cameras: what the data bases have on each."""
+    """Return a table of cameras and of the data on each."""
     rows = [("camera", "crop", "noise: ISO", "levels", "colour", "mount")]
     for one in cameras[:MOST]:
         rows.append(

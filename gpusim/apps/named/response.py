@@ -14,7 +14,7 @@ from gpusim.data.lights import illuminant
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.spectrum import Spectrum, photons_from_energy
 
-NODES = np.arange(400.0, 701.0, 10.0)  # [nm], those of the measured surfaces
+NODES = np.arange(400.0, 701.0, 10.0)  # [nm], as the measured surfaces
 TRAINING = "objects"
 PEAK = 0.55  # [e-/photon] of the most sensitive channel: back-illuminated sensors have 0.5 .. 0.7
 NEARNESS, SMOOTHNESS = 3e-3, 1e-2  # weights of typical curves and of second differences
@@ -28,7 +28,7 @@ class Matrix:
     Attributes:
         light: Name of the light of the measurement.
         values: From XYZ to the channels R, G, B, up to a factor, (3, 3).
-        seen_in: Name of the light in which XYZ counts; that of the measurement, unless the matrix
+        seen_in: Name of the light in which XYZ counts; the light of the measurement, unless the matrix
             was made for adapted colours.
     """
 
@@ -96,7 +96,7 @@ def _photons(light):
 
 
 def _wanted(matrix, surfaces):
-    """Return what a matrix makes of surfaces, relative to white's green, (N, 3)."""
+    """Return a matrix's channels for surfaces, relative to white's green, (N, 3)."""
     light = illuminant(matrix.seen_in)
     every = Spectrum(NODES, np.vstack([np.ones(len(NODES)), surfaces.at(NODES)]))
     colors = xyz(every, light) @ matrix.values.T
@@ -104,7 +104,7 @@ def _wanted(matrix, surfaces):
 
 
 def _sizes(targets, fitted, white):
-    """Return the mean of each channel's target over that of the typical response, (3,)."""
+    """Return the mean of each channel's target over the typical response's, (3,)."""
     typical = typical_response()
     mean = np.mean([target.mean(axis=0) / target[:, 1].mean() for target in targets], axis=0)
     green = np.mean([light @ fitted[1] for light in white])

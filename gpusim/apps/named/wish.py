@@ -1,4 +1,4 @@
-"""What a user says about a camera that is composed, with checks."""
+"""A user's wishes for a camera that is composed, with checks."""
 
 import math
 import os
@@ -18,9 +18,9 @@ LIMITS = {
 
 @dataclass(frozen=True)
 class Wish:
-    """What a user says about a camera; None is not said.
+    """A user's wishes for a camera; None for no wish.
 
-    Attributes are those of `compose_camera`.
+    Attributes have the meanings of `compose_camera`'s arguments.
     """
 
     iso: float | None = None

@@ -21,7 +21,7 @@ _FOCAL, _ZOOM = re.compile(r"\d\s*mm", re.I), re.compile(r"\d\s*-\s*\d")  # in a
 
 @dataclass(frozen=True)
 class CameraEntry:
-    """A camera, and what the data bases have on it.
+    """A camera, and the data bases' entries on it.
 
     Attributes:
         name: Maker and model.

@@ -53,7 +53,7 @@ class CameraNoise:
         return own
 
     def at(self, iso: float, channel: str = "G") -> tuple[float, float, bool]:
-        """Return a, b and whether they are those of an entry; between entries they are linear in ISO.
+        """Return a, b and whether an entry has them; between entries they are linear in ISO.
 
         Raises:
             BadData: No entry is usable.

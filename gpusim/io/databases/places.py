@@ -43,7 +43,7 @@ class Place:
     Attributes:
         kind: A key of KINDS.
         files: The files, sorted.
-        label: What it is called in sources: its folder or file, and its version if known.
+        label: Name in sources: its folder or file, and its version if known.
     """
 
     kind: str
@@ -54,7 +54,7 @@ class Place:
 def find_places(databases: str | os.PathLike | Sequence | None = None) -> dict[str, Place]:
     """Return the data bases that are found, by kind.
 
-    Folders that are named come first, then those of the environment variable GPUSIM_DATABASES,
+    Folders that are named come first, then folders of the environment variable GPUSIM_DATABASES,
     the usual places of programs, and the package lensfunpy.
 
     Args:

@@ -41,7 +41,7 @@ def search(words: str, items: Iterable[Item], names: Callable[[Item], Sequence[s
     Names that have nothing else come first, then those with whole words, then shorter ones.
 
     Args:
-        words: What the user typed.
+        words: The user's words.
         items: Where to search.
         names: Returns all names of an item, the main one first.
     """
