@@ -18,7 +18,7 @@ from gpusim.io.databases.places import find_places
 pytestmark = pytest.mark.slow
 
 CAMERAS = 24  # the issue asks for 20
-SIZE = 640, 480
+SIZE = 512, 384
 FRAMES = 4
 LEVELS = 0.6, 0.2, 0.05  # of white, of the brightest channel
 ROUNDING = 1 / 12
@@ -91,8 +91,8 @@ def test_flats_give_back_the_data_base(catalogue, found, tmp_path, number):
     found["cameras"].add(entry.name)
     for order, (iso, one) in enumerate(sorted(profiles.items())):
         for at, channel in enumerate("RGB"):
-            if one["a"][at] <= 0 or (channel != "G" and order % 3):
-                continue  # red and blue at every third ISO
+            if one["a"][at] <= 0 or (channel != "G" and order % 4):
+                continue  # red and blue at every fourth ISO
             composed = compose(small, entry.name, Wish(iso=iso, channel=channel))
             composed.save(tmp_path / "camera.toml")
             _judge(found, tmp_path / "camera.toml", one["a"][at], one["b"][at])

@@ -58,7 +58,7 @@ def numbers_of(path: Path, where: str, value: Any, count: int | None, most: floa
 def list_of(path: Path, where: str, value: Any, kind: type) -> list:
     """Return a list whose items are all of a kind. Raises BadFile."""
     if not isinstance(value, list) or not all(isinstance(one, kind) for one in value):
-        names = {dict: "objects", str: "texts"}.get(kind, kind.__name__)
+        names = "objects" if kind is dict else "texts"
         raise BadFile(path, f"{where} = {format_value(value)}; wanted a list of {names}")
     return value
 

@@ -270,7 +270,12 @@ def _focal_of(model, calibrations) -> tuple[float, float]:
 
 def _calibration(path, model, item) -> Calibration | None:
     """Return the calibration of an element; None for a model that does nothing."""
-    known = {"distortion": DISTORTIONS, "tca": LATERAL, "vignetting": VIGNETTINGS}[item.tag]
+    models: dict[str, dict[str, tuple[str, ...]]] = {
+        "distortion": dict(DISTORTIONS),
+        "tca": dict(LATERAL),
+        "vignetting": dict(VIGNETTINGS),
+    }
+    known = models[item.tag]
     name = item.get("model", "none")
     if name == "none":
         return None

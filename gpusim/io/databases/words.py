@@ -76,7 +76,7 @@ def _rank(wanted: Sequence[str], own: Sequence[str]) -> int | None:
 
 def nearest(words: str, names: Sequence[str], count: int = 5) -> list[str]:
     """Return names that are written like the words, best first, for a misspelling."""
-    plain = {}
+    plain: dict[str, str] = {}
     for one in names:
         plain.setdefault(" ".join(parts_of(one)), one)
     wanted = " ".join(parts_of(words)[:20])
