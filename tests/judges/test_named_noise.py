@@ -62,6 +62,18 @@ def _points(camera, scene, time, frames=FRAMES):
     return found
 
 
+def _dark(camera, scene, variance, half, points):
+    """Return points of dark frames; for little noise of faint ones, whose green is at k / 8 DN.
+
+    A standard deviation of half a DN is rounded to more or less than 1/12 DN^2, by a cosine of the mean's fraction.
+    """
+    if variance > 16 * ROUNDING:
+        return _points(camera, scene, 1e-9)
+    green = points[1][0] * 0.5 / LEVELS[0]  # of the frame at `half`
+    times = [half * step / 8 / green for step in range(1, 9)]
+    return [one for time in times for one in _points(camera, scene, time, 2)[1:3]]
+
+
 def _fit(points):
     """Return slope, intercept and their standard deviations of variance over mean, weighted."""
     mean, variance, count = np.array(points).T
@@ -111,7 +123,9 @@ def _judge(found, path, a, b):
     )  # all clip, and read noise comes on top
     points = [one for level in LEVELS for one in _points(camera, scene, half * level / 0.5)]
     points = [(mean - black, *rest) for mean, *rest in points]
-    dark = [(mean - black, *rest) for mean, *rest in _points(camera, scene, 1e-9)]
+    dark = [
+        (mean - black, *rest) for mean, *rest in _dark(camera, scene, b * full**2, half, points)
+    ]
     slope, intercept, _, error = _fit(points)
     quantum = ROUNDING / full**2
     if b > 4 * quantum:
