@@ -32,7 +32,7 @@ class Colour:
         self.matrices, self.source = self._matrices()
         self.curves, self.rms = None, 0.0
         if wish.sensitivity is not None:
-            self.curves = NODES, self._measured()
+            self.curves = NODES, self._read_measured()
         elif self.is_mono:
             pass
         elif self.matrices:
@@ -42,7 +42,7 @@ class Colour:
             typical = typical_response()
             self.curves = NODES, typical * PEAK / typical.max()
 
-    def _measured(self):
+    def _read_measured(self):
         """Return the curves of the file of sensitivities at NODES, for lateral colour."""
         path = Path(self.wish.sensitivity)
         found, letters = read_curves(

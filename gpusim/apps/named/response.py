@@ -71,7 +71,7 @@ def fit_response(matrices: Sequence[Matrix]) -> Response:
     surfaces = reflectances(TRAINING)
     typical = typical_response()
     seen = [_photons(matrix.light) * surfaces.at(NODES) for matrix in matrices]  # (N, 31) each
-    wanted = [_wanted(matrix, surfaces) for matrix in matrices]  # (N, 3)
+    wanted = [_see(matrix, surfaces) for matrix in matrices]  # (N, 3)
     white = [_photons(matrix.light) for matrix in matrices]
     fitted = typical
     for _ in range(PASSES):
@@ -95,7 +95,7 @@ def _photons(light):
     return photons / photons.sum()
 
 
-def _wanted(matrix, surfaces):
+def _see(matrix, surfaces):
     """Return a matrix's channels for surfaces, relative to white's green, (N, 3)."""
     light = illuminant(matrix.seen_in)
     every = Spectrum(NODES, np.vstack([np.ones(len(NODES)), surfaces.at(NODES)]))

@@ -96,8 +96,8 @@ class Catalogue:
         """Return the one camera of a name. Raises BadData with near names."""
         found = self.find(words)
         wanted = "".join(parts_of(words))
-        exact = [one for one in found if any(wanted in _squeezed(name) for name in one.names)]
-        main = [one for one in exact if wanted in _squeezed(one.name)]
+        exact = [one for one in found if any(wanted in _squeeze(name) for name in one.names)]
+        main = [one for one in exact if wanted in _squeeze(one.name)]
         own = set(parts_of(words))
         whole = [one for one in found if own <= set(parts_of(" ".join(one.names)))]
         for some in (main, exact, whole, found):
@@ -112,7 +112,7 @@ class Catalogue:
         if not self.cameras:
             raise BadData(f"no data base of cameras is found; {how_to_get()}")
         near = nearest(words, [name for one in self.cameras for name in one.names])
-        raise BadData(_unknown("camera", words, near))
+        raise BadData(_say_unknown("camera", words, near))
 
     def built_in(self, camera: CameraEntry) -> Lens | None:
         """Return the lens that stays on a camera; None if it takes others, or lensfun does not know it."""
@@ -132,7 +132,7 @@ class Catalogue:
         every = self.find_lenses("", camera)
         near = nearest(words, [one.name for one in every])
         fitting = f" for {camera.name}" if camera and camera.body else ""
-        raise BadData(_unknown(f"lens{fitting}", words, near))
+        raise BadData(_say_unknown(f"lens{fitting}", words, near))
 
 
 def _misfit(lens, body):
@@ -151,12 +151,12 @@ def _text(words, what):
     return words
 
 
-def _unknown(what, words, near):
+def _say_unknown(what, words, near):
     shown = ", ".join(near) if near else "none; fewer or other words may find it"
     return f"no {what} with the words {format_value(words)}; near names: {shown}"
 
 
-def _squeezed(name):
+def _squeeze(name):
     """Return a name without spaces and signs, with and without its first word, the maker."""
     parts = parts_of(name)
     return {"".join(parts), "".join(parts[1:])}

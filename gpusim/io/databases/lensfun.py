@@ -167,7 +167,7 @@ def _texts(item, tag) -> tuple[list[str], list[str]]:
     return plain, [one.text.strip() for one in every if one.get("lang")]
 
 
-def _named(path, item) -> tuple[str, str, tuple[str, ...]]:
+def _read_names(path, item) -> tuple[str, str, tuple[str, ...]]:
     """Return maker, model and other names."""
     makers, more_makers = _texts(item, "maker")
     models, more_models = _texts(item, "model")
@@ -179,7 +179,7 @@ def _named(path, item) -> tuple[str, str, tuple[str, ...]]:
 
 
 def _body(path, item) -> Body:
-    maker, model, aliases = _named(path, item)
+    maker, model, aliases = _read_names(path, item)
     mounts = _texts(item, "mount")[0]
     crop = _positive(path, model, "cropfactor", _texts(item, "cropfactor")[0], 1e3)
     return Body(
@@ -221,7 +221,7 @@ def _aspect(path, item, default: float) -> float:
 
 
 def _lens(path, item) -> Lens:
-    maker, model, aliases = _named(path, item)
+    maker, model, aliases = _read_names(path, item)
     calibrations: dict[str, list[Calibration]] = {"distortion": [], "tca": [], "vignetting": []}
     for part in item.findall("calibration"):
         for one in part:

@@ -72,7 +72,7 @@ def find_places(databases: str | os.PathLike | Sequence | None = None) -> dict[s
             if kind not in found and (own := _files_of(kind, files)):
                 found[kind] = Place(kind, own, _label(kind, own))
     for kind, (places, _) in KINDS.items():
-        if kind not in found and (own := _installed(kind, places)):
+        if kind not in found and (own := _find_installed(kind, places)):
             found[kind] = Place(kind, own, _label(kind, own))
     return found
 
@@ -147,7 +147,7 @@ def _begins(path, word) -> bool:
         return False
 
 
-def _installed(kind, places) -> tuple[Path, ...]:
+def _find_installed(kind, places) -> tuple[Path, ...]:
     """Return the files of a data base at the usual places; () if there are none."""
     folders = [Path(share, place).expanduser() for share in _SHARES for place in places]
     if kind == "lensfun" and (package := _package_folder()):
