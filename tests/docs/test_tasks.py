@@ -31,6 +31,7 @@ def test_there_are_four_and_they_are_short():
         assert max(map(len, lines)) <= 120  # no line that is two
 
 
+@pytest.mark.slow
 def test_own_camera():
     made = runpy.run_path(str(TASKS["1_own_camera"]))
     assert Path("own_camera.png").is_file()

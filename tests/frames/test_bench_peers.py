@@ -87,6 +87,7 @@ def test_mistakes_are_said_in_one_line(words, told, monkeypatch, capsys):
     assert said.count("\n") == 1 and told in said, said
 
 
+@pytest.mark.slow
 def test_cores_and_sizes_are_measured(monkeypatch, tmp_path, capsys):
     """On one core, at most one is busy: PoCL has one thread, and the others wait."""
     path = tmp_path / "threads.json"

@@ -258,6 +258,7 @@ def test_stacked_pixels_are_binned_layer_by_layer(binning, mode, device):
     assert electrons.mean() == pytest.approx(expected.mean(), rel=5e-3)
 
 
+@pytest.mark.slow
 def test_a_burst_of_stacked_pixels_is_merged_layer_by_layer():
     """Eight frames at rest have an eighth of the variance in every layer; moved ones are aligned."""
     noise = replace(PHONE.sensor.noise, prnu=0.0, dsnu=0.0, dead_pixels=0.0)
