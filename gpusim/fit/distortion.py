@@ -1,0 +1,336 @@
+"""Distortion and lateral colour of a lens from views of a checkerboard."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from gpusim.domain.calibration import Calibration
+from gpusim.domain.errors import BadData
+from gpusim.domain.short_repr import short_repr
+from gpusim.fit.board import Board, find_board, require_cv2
+from gpusim.fit.estimate import Estimate, Part, Plot
+from gpusim.fit.planes import WAVELENGTHS, checked_frames, main_channel
+from gpusim.io.raw.raw_frame import RawFrame
+
+ENOUGH_VIEWS = 3
+ASSUMED_FOCAL = 1.2  # times the longer side, if neither views nor files tell it
+COVERED = 0.85  # of the way to the corner that the board should reach
+WORST = 1.0  # [pixel] RMS residual of a board that is no plane, or a lens beyond the model
+SYSTEMATIC = 4.0  # standard errors of the mean residual of a cell that are no chance
+CELLS = 6  # along a side of the frame
+COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
+# freed one after the other; each must pay for itself
+ORDERS = (("k1",), ("k1", "k2"), ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3"))
+
+
+@dataclass(frozen=True, eq=False)
+class Geometry:
+    """A calibration with its uncertainty.
+
+    Args:
+        matrix: Camera matrix, (3, 3).
+        coefficients: k1, k2, p1, p2, k3.
+        errors: Standard errors of fx, fy, cx, cy and the coefficients, (9,); 0: not fitted.
+        residuals: Corners less the model [pixel], (N, 2).
+        free: Names of the coefficients that were fitted.
+        has_focal: Whether focal lengths and principal point were fitted.
+    """
+
+    matrix: np.ndarray
+    coefficients: np.ndarray
+    errors: np.ndarray
+    residuals: np.ndarray
+    free: tuple[str, ...]
+    has_focal: bool
+
+    __repr__ = short_repr
+
+
+def fit_distortion(
+    frames: RawFrame | Sequence[RawFrame],
+    *,
+    black: ArrayLike | None = None,
+    pitch: float | None = None,
+    focal_length: float | None = None,
+) -> Part:
+    """Fit camera matrix, distortion and lateral colour to views of a checkerboard.
+
+    The model is OpenCV's, k1, k2, p1, p2, k3. Coefficients are added one after the other while the Bayesian
+    information criterion falls.
+
+    Args:
+        frames: Views of one board.
+        black: Black level [DN], see `gpusim.fit.planes.light_values`.
+        pitch: Pixel pitch [m].
+        focal_length: Focal length [m], used with fewer than three views; None: the frames'.
+
+    Returns:
+        Estimates and the settings optics.calibration and optics.lateral_color.
+
+    Raises:
+        BadData: No board is found in any view, or the model does not fit.
+        Missing: OpenCV is not installed.
+
+    Source:
+        Zhang, "A flexible new technique for camera calibration", PAMI 22 (2000) 1330; Brown 1966.
+    """
+    every = checked_frames(frames, "grid")
+    boards, faults = [], []
+    for frame in every:
+        try:
+            boards.append(find_board(frame, black))
+        except BadData as error:
+            faults.append(str(error))
+    if not boards:
+        raise BadData(faults[0])
+    rows, cols = every[0].values.shape
+    focal_length = focal_length or every[0].focal_length
+    nominal = focal_length / pitch if focal_length and pitch else ASSUMED_FOCAL * max(rows, cols)
+    found = _calibrate(boards, (cols, rows), nominal)
+    spread = float(np.sqrt(np.mean(found.residuals**2) * 2))
+    if spread > WORST:
+        raise BadData(
+            f"grid: corners miss the model by {spread:.2g} pixels RMS, wanted {WORST:g} or less; use a flat board, hold "
+            "it still, and for a fisheye calibrate with cv2.fisheye and give optics.calibration"
+        )
+    sources = tuple(one.name for one in boards)
+    lateral = _lateral_color(boards, found, main_channel(every[0].channels), sources)
+    return Part(
+        "distortion",
+        _estimates(found, sources) | lateral,
+        _settings(found, (cols, rows), lateral, main_channel(every[0].channels)),
+        _plots(boards, found, (cols, rows)),
+        _unexplained(boards, found, (rows, cols), spread),
+        tuple(faults) + _unknown(boards, found, (rows, cols), focal_length),
+    )
+
+
+def _calibrate(boards: list[Board], size, nominal) -> Geometry:
+    """Return the geometry with as many coefficients as the corners pay for."""
+    cv2 = require_cv2()
+    points = [np.column_stack([one.places, np.zeros(len(one.places))]).astype(np.float32) for one in boards]
+    corners = [one.corners.astype(np.float32).reshape(-1, 1, 2) for one in boards]
+    middle = (size[0] - 1) / 2, (size[1] - 1) / 2
+    start = np.array([[nominal, 0, middle[0]], [0, nominal, middle[1]], [0, 0, 1]])
+    has_focal = len(boards) >= ENOUGH_VIEWS
+    best = None
+    for free in ORDERS:
+        flags = cv2.CALIB_USE_INTRINSIC_GUESS
+        for name, flag in (("k2", cv2.CALIB_FIX_K2), ("k3", cv2.CALIB_FIX_K3)):
+            flags |= 0 if name in free else flag
+        flags |= 0 if "p1" in free else cv2.CALIB_ZERO_TANGENT_DIST
+        if not has_focal:
+            flags |= cv2.CALIB_FIX_FOCAL_LENGTH | cv2.CALIB_FIX_PRINCIPAL_POINT
+        end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-10)
+        _, matrix, values, turns, shifts, errors, _, _ = cv2.calibrateCameraExtended(
+            points, corners, size, start.copy(), np.zeros(5), flags=flags, criteria=end
+        )
+        residuals = np.concatenate(
+            [
+                seen.reshape(-1, 2)
+                - cv2.projectPoints(one, turn, shift, matrix, values)[0].reshape(-1, 2)
+                for one, seen, turn, shift in zip(points, corners, turns, shifts, strict=True)
+            ]
+        )
+        count = residuals.size
+        bic = count * np.log(np.mean(residuals**2)) + len(free) * np.log(count)
+        geometry = Geometry(
+            matrix, values.ravel()[:5], errors.ravel()[:9], residuals, free, has_focal
+        )
+        if best is None or bic < best[0]:
+            best = bic, geometry
+    assert best is not None
+    return best[1]
+
+
+def _estimates(found: Geometry, sources):
+    values = [found.matrix[0, 0], found.matrix[1, 1], found.matrix[0, 2], found.matrix[1, 2]]
+    units = ["pixel"] * 4 + [""] * 5
+    names = ["fx", "fy", "cx", "cy", *COEFFICIENTS]
+    estimates = {}
+    for name, value, error, unit in zip(
+        names, [*values, *found.coefficients], found.errors, units, strict=True
+    ):
+        if name in COEFFICIENTS and name not in found.free:
+            continue
+        is_assumed = name not in COEFFICIENTS and not found.has_focal
+        note = "assumed, too few views" if is_assumed else ""
+        reach = np.nan if is_assumed else 1.96 * float(error)
+        estimates[f"optics.calibration.{name}"] = Estimate(
+            float(value), float(value - reach), float(value + reach), unit, sources, note
+        )
+    return estimates
+
+
+def _lateral_color(boards: list[Board], found: Geometry, main, sources):
+    """Return the excess of image height of each other channel, least squares over all corners."""
+    estimates = {}
+    middle = found.matrix[:2, 2]
+    corners = np.concatenate([one.corners for one in boards]) - middle
+    for letter in boards[0].offsets:
+        offsets = np.concatenate([one.offsets[letter] for one in boards])
+        # offset = excess * position + a shift of the whole channel
+        ones = np.ones(len(corners))
+        matrix = np.concatenate(
+            [
+                np.column_stack([corners[:, 0], ones, 0 * ones]),
+                np.column_stack([corners[:, 1], 0 * ones, ones]),
+            ]
+        )
+        seen = np.concatenate([offsets[:, 0], offsets[:, 1]])
+        weight = np.ones(len(seen))
+        for _ in range(5):  # Huber's weights against corners that failed
+            root = np.sqrt(weight)
+            solved = np.linalg.lstsq(matrix * root[:, None], seen * root, rcond=None)[0]
+            left = seen - matrix @ solved
+            scale = 1.48 * np.median(np.abs(left)) + 1e-9
+            weight = np.minimum(1, 1.5 * scale / np.maximum(np.abs(left), 1e-12))
+        inner = (matrix * weight[:, None]).T @ matrix
+        error = scale * np.sqrt(np.linalg.inv(inner)[0, 0])
+        estimates[f"optics.lateral_color of {letter}"] = Estimate(
+            float(solved[0]),
+            float(solved[0] - 1.96 * error),
+            float(solved[0] + 1.96 * error),
+            "",
+            sources,
+            f"image height over {main}'s, minus one",
+        )
+    return estimates
+
+
+def _settings(found: Geometry, size, lateral, main):
+    calibration = {
+        "width": size[0],
+        "height": size[1],
+        "fx": float(found.matrix[0, 0]),
+        "fy": float(found.matrix[1, 1]),
+        "cx": float(found.matrix[0, 2]),
+        "cy": float(found.matrix[1, 2]),
+    } | dict(zip(COEFFICIENTS, map(float, found.coefficients), strict=True))
+    matrix = [calibration[key] for key in ("width", "height", "fx", "fy", "cx", "cy")]
+    Calibration(*matrix, tuple(found.coefficients.tolist()))  # its own checks
+    optics: dict = {"calibration": calibration}
+    excess = {WAVELENGTHS.get(main, 550.0): 0.0}
+    for key, estimate in lateral.items():
+        excess[WAVELENGTHS.get(key[-1], 550.0)] = estimate.value
+    if len(excess) > 1:
+        optics["lateral_color"] = {
+            "wavelengths_nm": sorted(excess),
+            "excess": [excess[wave] for wave in sorted(excess)],
+        }
+    return {"optics": optics}
+
+
+def _reach(boards: list[Board], shape):
+    """Return how far corners come to the frame's corner, in parts of the way."""
+    corners = np.concatenate([one.corners for one in boards])
+    away = np.hypot(corners[:, 0] - (shape[1] - 1) / 2, corners[:, 1] - (shape[0] - 1) / 2)
+    return float(away.max() / (np.hypot(*shape) / 2))
+
+
+def _unknown(boards, found: Geometry, shape, focal_length):
+    lines = []
+    if not found.has_focal:
+        source = "the files'" if focal_length else "a typical one"
+        lines.append(
+            f"focal length and principal point: {len(boards)} view(s), so {source} and the frame's middle are assumed; "
+            f"shoot {ENOUGH_VIEWS} views or more, better ten, the board tilted by 20 to 40 degrees"
+        )
+    elif found.errors[0] > 0.01 * found.matrix[0, 0]:
+        lines.append(
+            f"focal length: known to {196 * found.errors[0] / found.matrix[0, 0]:.2g} % only; tilt the board by 20 to 40 "
+            "degrees in different directions"
+        )
+    if (reach := _reach(boards, shape)) < COVERED:
+        lines.append(
+            f"distortion beyond {reach:.2f} of the way to the corner: no board there; move it into the corners"
+        )
+    if boards[0].offsets:
+        lines.append(
+            "lateral colour within a channel: wavelengths "
+            + ", ".join(f"{WAVELENGTHS.get(c, 550.0):g} nm of {c}" for c in boards[0].offsets)
+            + " are assumed for the channels"
+        )
+    return tuple(lines)
+
+
+def _unexplained(boards: list[Board], found: Geometry, shape, spread):
+    """Return a line if mean residuals of parts of the frame are no chance."""
+    corners = np.concatenate([one.corners for one in boards])
+    cell = np.clip((corners / np.array(shape[::-1]) * CELLS).astype(int), 0, CELLS - 1)
+    number = cell[:, 1] * CELLS + cell[:, 0]
+    worst, where = 0.0, 0
+    noise = np.std(found.residuals)
+    for one in np.unique(number):
+        own = found.residuals[number == one]
+        if len(own) < 8:
+            continue
+        mean = float(np.hypot(*own.mean(0)))
+        if mean > SYSTEMATIC * noise / np.sqrt(len(own)) and mean > max(worst, 0.05):
+            worst, where = mean, one
+    if not worst:
+        return ()
+    row, col = divmod(int(where), CELLS)
+    return (
+        f"grid: corners of one part of the frame (row {row + 1}, column {col + 1} of {CELLS}) miss the model by "
+        f"{worst:.2g} pixels on average, all by {spread:.2g} RMS: a bent board or a lens beyond k1, k2, p1, p2, k3",
+    )
+
+
+def _plots(boards: list[Board], found: Geometry, size):
+    def draw_residuals(figure):
+        axes = figure.subplots()
+        corners = np.concatenate([one.corners for one in boards])
+        arrows = axes.quiver(
+            corners[:, 0],
+            corners[:, 1],
+            found.residuals[:, 0],
+            -found.residuals[:, 1],
+            width=2e-3,
+        )
+        unit = max(np.percentile(np.hypot(*found.residuals.T), 90), 1e-6)
+        axes.quiverkey(arrows, 0.9, 1.03, unit, f"{unit:.2g} pixel", labelpos="E")
+        axes.set(xlim=(0, size[0]), ylim=(size[1], 0), aspect="equal", xlabel="column", ylabel="row")
+
+    def draw_curve(figure):
+        axes = figure.subplots()
+        focal = found.matrix[0, 0]
+        edge = np.hypot(*size) / 2 / focal
+        r = np.linspace(0, edge, 100)
+        k1, k2, _, _, k3 = found.coefficients
+        factor = k1 * r**2 + k2 * r**4 + k3 * r**6
+        axes.plot(r / edge, 100 * factor)
+        axes.axhline(0, color="0.7", linewidth=0.8)
+        axes.set(xlabel="ideal field height, 1 at the corner", ylabel="radial distortion [%]")
+        twin = axes.secondary_yaxis(
+            "right", functions=(lambda v: v / 100 * edge * focal, lambda v: v * 100 / edge / focal)
+        )
+        twin.set_ylabel("at the corner [pixel]")
+
+    def draw_lateral(figure):
+        axes = figure.subplots()
+        corners = np.concatenate([one.corners for one in boards]) - found.matrix[:2, 2]
+        radius = np.hypot(*corners.T)
+        colours = {"R": "tab:red", "B": "tab:blue", "G": "tab:green"}
+        for letter in boards[0].offsets:
+            offsets = np.concatenate([one.offsets[letter] for one in boards])
+            along = (offsets * corners).sum(1) / np.maximum(radius, 1e-9)
+            axes.plot(radius, along, ".", markersize=3, label=letter, color=colours.get(letter))
+        axes.legend()
+        axes.set(xlabel="distance from the principal point [pixel]", ylabel="shift outwards [pixel]")
+
+    plots = [
+        Plot("Radial distortion", "Image height over a pinhole's, minus one.", draw_curve),
+        Plot("Checkerboards: residuals", "Corners less the fitted model.", draw_residuals),
+    ]
+    if boards[0].offsets:
+        plots.append(
+            Plot(
+                "Lateral colour",
+                f"Shift of corners against channel {main_channel(['G', *boards[0].offsets])}'s.",
+                draw_lateral,
+            )
+        )
+    return tuple(plots)
