@@ -1,0 +1,76 @@
+"""ColorCheckers as random cameras see them, in plain NumPy: shares no code with gpusim's fit."""
+
+import numpy as np
+
+WAVES = np.arange(390.0, 721.0, 5.0)
+
+
+def random_camera(rng):
+    """Quantum efficiencies of R, G and B at WAVES: skewed bells with crosstalk behind an infrared cut, (3, L)."""
+    curves = []
+    for middle, width in ((600, 32), (535, 38), (460, 30)):
+        centre, left = middle + rng.normal(0, 7), width * rng.uniform(0.85, 1.25)
+        right = width * rng.uniform(0.85, 1.3)
+        sides = np.where(WAVES < centre, left, right)
+        power = rng.uniform(1.8, 2.6)
+        curves.append(rng.uniform(0.45, 0.7) * np.exp(-0.5 * np.abs((WAVES - centre) / sides) ** power))
+    curves = np.array(curves)
+    mixing = np.eye(3) + rng.uniform(0, 0.08, (3, 3))
+    edge = rng.uniform(655, 690)
+    cut = 1 / (1 + np.exp((WAVES - edge) / rng.uniform(5, 9)))
+    low = 1 / (1 + np.exp((rng.uniform(400, 415) - WAVES) / 5))
+    return (mixing @ curves + 0.01) * cut * low
+
+
+def photons(name):
+    """Relative photons of a light at WAVES: a blackbody "3200K", or daylight by a table "D65"."""
+    if name.endswith("K"):
+        t = float(name[:-1])
+        metres = WAVES * 1e-9
+        energy = metres**-5 / np.expm1(6.62607015e-34 * 299792458 / (metres * 1.380649e-23 * t))
+    else:
+        import colour
+
+        table = colour.SDS_ILLUMINANTS[name]
+        energy = np.interp(WAVES, table.wavelengths, table.values)
+    made = energy * WAVES
+    return made / made.mean()
+
+
+def checker():
+    """Reflectances of the 24 patches at WAVES from colour-science, (24, L)."""
+    import colour
+
+    sets = colour.SDS_COLOURCHECKERS["ISO 17321-1"]
+    return np.array([np.interp(WAVES, one.wavelengths, one.values) for one in sets.values()])
+
+
+def responses(camera, light, surfaces):
+    """Electrons of surfaces, (N, C): 1 for white in the strongest channel."""
+    weights = camera * photons(light)
+    return surfaces @ weights.T / weights.sum(1).max()
+
+
+def draw(patch, shape, cfa, rng, turn=0.1, fill=0.7, electrons=8000, black=64, scale=0.25):
+    """A mosaic of a turned chart in perspective on grey, [DN].
+
+    patch: responses (24, C) of channels in the order RGB. cfa: rows of letters.
+    """
+    rows, cols = shape
+    y, x = np.indices(shape)
+    u, v = (x - cols / 2) / (fill * cols / 2), (y - rows / 2) / (fill * cols / 2)
+    cos, sin = np.cos(turn), np.sin(turn)
+    u, v = u * cos + v * sin, v * cos - u * sin
+    w = 1 + 0.06 * u + 0.04 * v
+    # columns and rows of patches; the black frame is 0.3 wide, gaps 1 / 8
+    u, v = u / w * 3.3 + 2.5, v / w * 3.3 + 1.5
+    column, row = np.rint(u).astype(int), np.rint(v).astype(int)
+    on_patch = (np.abs(u - column) < 0.44) & (np.abs(v - row) < 0.44)
+    on_patch &= (column >= 0) & (column < 6) & (row >= 0) & (row < 4)
+    on_chart = (u > -0.7) & (u < 5.7) & (v > -0.7) & (v < 3.7)
+    number = np.where(on_patch, row * 6 + column, np.where(on_chart, 24, 25))
+    table = np.vstack([patch, 0.5 * patch[23], 0.9 * patch[21]])
+    letters = np.array([["RGBY".index(c) for c in line] for line in cfa])
+    which = np.tile(letters, (rows // len(cfa) + 1, cols // len(cfa[0]) + 1))[:rows, :cols]
+    seen = rng.poisson(electrons * table[number, which]) + rng.normal(0, 3, shape)
+    return np.rint(seen * scale + black)
