@@ -48,9 +48,7 @@ def view(size, matrix, coefficients, turn, shift, squares, excess=0.0, fine=3, b
     x, y = np.meshgrid((px - cx) / fx / (1 + excess), (py - cy) / fy / (1 + excess))
     at_x = (np.arange(cols * fine) + 0.5) / fine - 0.5
     at_y = (np.arange(rows * fine) + 0.5) / fine - 0.5
-    u, v = (
-        RectBivariateSpline(py, px, one)(at_y, at_x) for one in undistort(x, y, coefficients)
-    )
+    u, v = (RectBivariateSpline(py, px, one)(at_y, at_x) for one in undistort(x, y, coefficients))
     # the ray (u, v, 1) meets the plane: shift + turn (X, Y, 0)
     plane = np.linalg.inv(np.column_stack([turn[:, 0], turn[:, 1], shift]))
     a, b, c = np.tensordot(plane, np.stack([u, v, np.ones_like(u)]), 1)
@@ -72,5 +70,7 @@ def random_view(rng, size, matrix, coefficients, squares, **options):
     middle = turn @ np.array([across / 2, down / 2, 0])
     free = (1 - fill) / 2
     at = rng.choice([-1, 1], 2) * rng.uniform(0.2, 0.9, 2) * free
-    shift = np.array([at[0] * size[0] / matrix[0] * distance, at[1] * size[1] / matrix[1] * distance, distance])
+    shift = np.array(
+        [at[0] * size[0] / matrix[0] * distance, at[1] * size[1] / matrix[1] * distance, distance]
+    )
     return view(size, matrix, coefficients, turn, shift - middle, squares, **options)

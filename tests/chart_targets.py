@@ -13,7 +13,9 @@ def random_camera(rng):
         right = width * rng.uniform(0.85, 1.3)
         sides = np.where(WAVES < centre, left, right)
         power = rng.uniform(1.8, 2.6)
-        curves.append(rng.uniform(0.45, 0.7) * np.exp(-0.5 * np.abs((WAVES - centre) / sides) ** power))
+        curves.append(
+            rng.uniform(0.45, 0.7) * np.exp(-0.5 * np.abs((WAVES - centre) / sides) ** power)
+        )
     curves = np.array(curves)
     mixing = np.eye(3) + rng.uniform(0, 0.08, (3, 3))
     edge = rng.uniform(655, 690)

@@ -50,7 +50,11 @@ def aberrated_otf(cutoff, waves):
     shift = (np.arange(size) - size // 2) / n / cutoff
     parts = [
         RegularGridInterpolator(
-            (shift, shift), part, method="cubic" if size < 0 else "linear", bounds_error=False, fill_value=0
+            (shift, shift),
+            part,
+            method="cubic" if size < 0 else "linear",
+            bounds_error=False,
+            fill_value=0,
         )
         for part in (otf.real, otf.imag)
     ]
@@ -67,10 +71,7 @@ def gaussian_otf(*parts):
 def camera_transfer(otf, fx, fy):
     """Transfer of edge, lens and a pixel without gaps."""
     return (
-        otf(fx, fy)
-        * np.exp(-2 * np.pi**2 * SOFT**2 * (fx**2 + fy**2))
-        * np.sinc(fx)
-        * np.sinc(fy)
+        otf(fx, fy) * np.exp(-2 * np.pi**2 * SOFT**2 * (fx**2 + fy**2)) * np.sinc(fx) * np.sinc(fy)
     )
 
 

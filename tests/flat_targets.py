@@ -26,7 +26,9 @@ def expose_flat(rng, response, electrons=6000, black=64, gain=0.25, prnu=0.008):
 
 def encode(linear):
     """sRGB's curve, IEC 61966-2-1."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    return np.where(
+        linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055
+    )
 
 
 def tone(rng):

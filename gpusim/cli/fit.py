@@ -63,6 +63,12 @@ class FitRequest(Options):
     cfa: str | None = option(
         metavar="MOSAIC", help="mosaic of files that do not state it, such as bayer-rggb"
     )
+    light: list[str] | tuple = option(
+        default=(),
+        nargs="+",
+        metavar="LIGHT",
+        help="light of each frame of the chart, such as D65 or lamp.csv (default: the likeliest of usual ones)",
+    )
 
 
 def fit(request: FitRequest) -> int:
@@ -94,6 +100,7 @@ def fit(request: FitRequest) -> int:
         ramp=request.ramp,
         base=request.base,
         cfa=request.cfa,
+        options={"light": list(request.light)} if request.light else None,
     )
     written = found.write(request.out, request.page, request.maps)
     for line in found.lines:

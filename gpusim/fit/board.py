@@ -50,9 +50,7 @@ def require_cv2():
     try:
         import cv2
     except ImportError:
-        raise Missing(
-            "checkerboards need OpenCV; pip install opencv-python-headless"
-        ) from None
+        raise Missing("checkerboards need OpenCV; pip install opencv-python-headless") from None
     return cv2
 
 
@@ -88,9 +86,7 @@ def find_board(frame: RawFrame, black: ArrayLike | None = None) -> Board:
     refined = {
         letter: _refine(cv2, _eight_bits(plane), corners, half) for letter, plane in planes.items()
     }
-    offsets = {
-        letter: found - refined[main] for letter, found in refined.items() if letter != main
-    }
+    offsets = {letter: found - refined[main] for letter, found in refined.items() if letter != main}
     return Board(frame.name, places, refined[main], offsets)
 
 
@@ -224,4 +220,8 @@ def _refine(cv2, picture, corners, half):
     """Return corners at sub-pixel places, see cv2.cornerSubPix."""
     end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 50, 1e-4)
     start = np.ascontiguousarray(corners, np.float32).reshape(-1, 1, 2)
-    return cv2.cornerSubPix(picture, start.copy(), (half, half), (-1, -1), end).reshape(-1, 2).astype(float)
+    return (
+        cv2.cornerSubPix(picture, start.copy(), (half, half), (-1, -1), end)
+        .reshape(-1, 2)
+        .astype(float)
+    )

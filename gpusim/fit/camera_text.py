@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gpusim.domain.errors import one_line
+from gpusim.domain.psf import PointSpread
 from gpusim.fit.estimate import Estimate
 from gpusim.io.camera.cameras import camera_names
 
@@ -48,6 +49,8 @@ def camera_text(fit: "Fit", path: Path) -> str:
             continue
         lines += ["", f"[{section}]"]
         for key, value in keys.items():
+            if isinstance(value, PointSpread):
+                value = spread_path(path).name
             lines += _key_lines(section, key, value, estimates)
     used = {f"{section}.{key}" for section, keys in fit.settings.items() for key in keys}
     rest = {key: one for key, one in estimates.items() if key not in used}
@@ -55,6 +58,11 @@ def camera_text(fit: "Fit", path: Path) -> str:
     lines += _list("Not explained by the model", fit.unexplained)
     lines += _list("Not known from these shots", fit.unknown)
     return "\n".join(lines) + "\n"
+
+
+def spread_path(path: Path) -> Path:
+    """Return the file of the point spreads next to a camera file."""
+    return path.with_suffix(".psf.npz")
 
 
 def words(one: Estimate) -> str:

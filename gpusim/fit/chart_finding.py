@@ -50,6 +50,7 @@ def read_patches(
     white_to_black: np.ndarray,
     black: ArrayLike | None = None,
     corners: ArrayLike | None = None,
+    falloff: np.ndarray | None = None,
 ) -> Patches:
     """Find a ColorChecker and return its patches' means.
 
@@ -60,6 +61,7 @@ def read_patches(
         black: Black level [DN], see `gpusim.fit.planes.light_values`.
         corners: x and y [pixel] of the middles of dark skin, bluish green, black and white, the four corner patches,
             shape (4, 2); None: they are searched.
+        falloff: Response to even light over the frame [1], shape (rows, cols), which is divided out; or None.
 
     Returns:
         The patches.
@@ -68,6 +70,9 @@ def read_patches(
         BadData: No chart is found, or the corners have another shape.
     """
     values = light_values(frame, black)
+    clipped = clipped_mask(frame, values)
+    if falloff is not None:
+        values = values / falloff
     if corners is not None:
         outline = np.asarray(corners, np.float64)
         if outline.shape != (4, 2):
@@ -78,7 +83,7 @@ def read_patches(
         turned = [outline]
     else:
         turned = _turns(_find_outline(frame, values))
-    found = [_read(frame, values, outline) for outline in turned]
+    found = [_read(frame, values, outline, clipped) for outline in turned]
     alike = [_likeness(one.means, white_to_black) for one in found]
     best = found[int(np.argmax(alike))]
     if max(alike) < 0.8:
@@ -121,13 +126,11 @@ def _patch_candidates(blocks):
     """Return x and y of the middles (N, 2) and side lengths (N,) of even, nearly square regions."""
     soft = np.stack([scipy.ndimage.gaussian_filter(one, 0.7) for one in blocks])
     planes = np.log(np.maximum(soft, 1e-3 * soft.max(axis=(1, 2), keepdims=True)))
-    slope = np.sqrt(
-        sum(
-            scipy.ndimage.sobel(one, axis) ** 2 for one in planes for axis in (0, 1)
-        )
-    )
+    slope = np.sqrt(sum(scipy.ndimage.sobel(one, axis) ** 2 for one in planes for axis in (0, 1)))
     found: list[tuple[float, float, float, float]] = []
-    for level in np.geomspace(np.percentile(slope, 20) + 1e-9, np.percentile(slope, 97) + 2e-9, LEVELS):
+    for level in np.geomspace(
+        np.percentile(slope, 20) + 1e-9, np.percentile(slope, 97) + 2e-9, LEVELS
+    ):
         labels, count = scipy.ndimage.label(slope < level)
         if count > 5000:
             continue
@@ -238,11 +241,11 @@ def _project(homography, points):
     return np.stack([x / w, y / w], axis=1)
 
 
-def _read(frame, values, outline):
+def _read(frame, values, outline, clipped):
     """Return the patches inside an outline."""
     corners = np.array([[0, 0], [COLUMNS - 1, 0], [COLUMNS - 1, ROWS - 1], [0, ROWS - 1]], float)
     back = np.linalg.inv(_homography(corners, outline))
-    clipped, masks = clipped_mask(frame, values), letter_masks(frame)
+    masks = letter_masks(frame)
     rows, cols = np.indices(values.shape)
     x, y = _project(back, np.stack([cols.ravel(), rows.ravel()], axis=1)).T
     column, row = np.rint(x).astype(int), np.rint(y).astype(int)
@@ -263,7 +266,5 @@ def _read(frame, values, outline):
                 )
             means[patch, k] = seen.mean()
             errors[patch, k] = seen.std(ddof=1) / np.sqrt(len(seen))
-    high = tuple(
-        patch for patch in range(24) if clipped[number == patch].mean() > MOST_CLIPPED
-    )
+    high = tuple(patch for patch in range(24) if clipped[number == patch].mean() > MOST_CLIPPED)
     return Patches(frame.name, tuple(masks), means, errors, high, outline)

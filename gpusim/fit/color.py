@@ -18,7 +18,15 @@ from gpusim.fit.planes import checked_frames
 from gpusim.fit.sensitivity import NODES, Sensitivity, fit_sensitivity, guess_light
 from gpusim.io.raw.raw_frame import RawFrame
 
-GUESSES = ("A", "blackbody-3200K", "daylight-4000K", "daylight-5000K", "daylight-5500K", "D65", "daylight-7500K")
+GUESSES = (
+    "A",
+    "blackbody-3200K",
+    "daylight-4000K",
+    "daylight-5000K",
+    "daylight-5500K",
+    "D65",
+    "daylight-7500K",
+)
 LEAST_PATCHES = 18
 DRAWS = 40  # of curves, for the intervals of matrices
 STEEP = 0.02  # slope of the light over half of the chart that is worth a line
@@ -32,6 +40,7 @@ def fit_color(
     lights: Sequence[str | Spectrum] | str | None = None,
     black: ArrayLike | None = None,
     corners: ArrayLike | None = None,
+    falloff: np.ndarray | None = None,
 ) -> Part:
     """Fit spectral sensitivities and colour matrices to frames of a ColorChecker.
 
@@ -41,6 +50,7 @@ def fit_color(
         black: Black level [DN], see `gpusim.fit.planes.light_values`.
         corners: x and y [pixel] of the middles of dark skin, bluish green, black and white, shape (4, 2); None: they
             are searched.
+        falloff: Response to even light over the frame [1], shape (rows, cols), which is divided out; or None.
 
     Returns:
         Estimates of peaks and matrices, and the setting sensor.sensitivity.
@@ -51,7 +61,7 @@ def fit_color(
     every = checked_frames(frames, "chart")
     surfaces = np.clip(reflectances("colorchecker").at(NODES, outside=None), 0, 1)
     luminance = surfaces @ np.interp(NODES, cmf().wavelengths, cmf().values[1])
-    charts = [read_patches(frame, luminance, black, corners) for frame in every]
+    charts = [read_patches(frame, luminance, black, corners, falloff) for frame in every]
     for chart in charts:
         if 24 - len(chart.clipped) < LEAST_PATCHES:
             raise BadData(
@@ -66,15 +76,22 @@ def fit_color(
     sources = tuple(chart.name for chart in charts)
     parts = [_matrix(fit, name, light) for name, light in zip(names, photons, strict=True)]
     differences = (
-        [_differences(fit, chart, light, number) for number, (chart, light) in enumerate(zip(charts, photons, strict=True))]
+        [
+            _differences(fit, chart, light, number)
+            for number, (chart, light) in enumerate(zip(charts, photons, strict=True))
+        ]
         if len(fit.letters) >= 3
         else []
     )
     estimates = _peaks(fit, sources)
     for one in parts:
-        estimates |= {key: Estimate(*value, "", sources, "XYZ of surfaces in D65") for key, value in one.items()}
+        estimates |= {
+            key: Estimate(*value, "", sources, "XYZ of surfaces in D65")
+            for key, value in one.items()
+        }
     table = {"wavelengths_nm": NODES.tolist()} | {
-        letter: np.round(curve, 5).tolist() for letter, curve in zip(fit.letters, fit.values, strict=True)
+        letter: np.round(curve, 5).tolist()
+        for letter, curve in zip(fit.letters, fit.values, strict=True)
     }
     return Part(
         "colour",
@@ -115,7 +132,9 @@ def _fit(charts: list[Patches], lights, surfaces):
         names = [light if isinstance(light, str) else light.name or "a light" for light in lights]
         return names, photons, fit(charts, photons), False
     candidates = {name: photons_from_energy(light_of(name)) for name in GUESSES}
-    names = [guess_light(candidates, lambda light, one=chart: fit([one], [light]))[0] for chart in charts]
+    names = [
+        guess_light(candidates, lambda light, one=chart: fit([one], [light]))[0] for chart in charts
+    ]
     photons = [candidates[name] for name in names]
     return names, photons, fit(charts, photons), True
 
@@ -137,9 +156,7 @@ def _matrix(fit: Sensitivity, name, light):
     if len(fit.letters) < 3:
         return {}
     random = np.random.default_rng(1)
-    roots = [
-        np.linalg.cholesky(one + 1e-12 * np.eye(len(one))) for one in fit.covariance
-    ]
+    roots = [np.linalg.cholesky(one + 1e-12 * np.eye(len(one))) for one in fit.covariance]
     drawn = []
     for number in range(DRAWS + 1):
         values = fit.values
@@ -169,7 +186,9 @@ def _differences(fit: Sensitivity, chart: Patches, light, number):
     transform = color_matrix(fit.spectrum, light, TRAINING)
     white = (fit.scales[number] * product_weights(NODES, light) @ fit.values.T).max()
     seen, wanted = chart.means / white, fit.predicted[number] / white
-    eye = product_weights(NODES, cmf(), energy_from_photons(photons_from_energy(light_of("D65")))).sum(1)
+    eye = product_weights(
+        NODES, cmf(), energy_from_photons(photons_from_energy(light_of("D65")))
+    ).sum(1)
     xyz = [np.maximum(one @ transform.xyz.T, 0) for one in (seen, wanted)]
     found = ciede2000(xyz[0][None], xyz[1][None], eye / eye[1])[0]
     shown = DISPLAYS["srgb"].rgb_from_xyz @ xyz[0].T
@@ -231,7 +250,12 @@ def _plots(fit: Sensitivity, charts, names, differences):
             colour = colours.get(letter, "0.4")
             axes.plot(NODES, curve, color=colour, label=letter)
             axes.fill_between(
-                NODES, np.maximum(curve - reach, 0), curve + reach, color=colour, alpha=0.2, linewidth=0
+                NODES,
+                np.maximum(curve - reach, 0),
+                curve + reach,
+                color=colour,
+                alpha=0.2,
+                linewidth=0,
             )
         axes.set(xlabel="wavelength [nm]", ylabel="relative sensitivity per photon", ylim=(0, None))
         axes.legend()
@@ -249,7 +273,10 @@ def _plots(fit: Sensitivity, charts, names, differences):
             for k, letter in enumerate(chart.letters):
                 miss = 100 * (chart.means[:, k] / fit.predicted[number, :, k] - 1)
                 axes.plot(
-                    np.arange(1, 25) + 0.1 * number, miss, "o+x"[number % 3], color=colours.get(letter, "0.4")
+                    np.arange(1, 25) + 0.1 * number,
+                    miss,
+                    "o+x"[number % 3],
+                    color=colours.get(letter, "0.4"),
                 )
         axes.axhline(0, color="0.7", linewidth=0.8)
         axes.set(xlabel="patch", ylabel="response less the model's [%]")
@@ -260,7 +287,11 @@ def _plots(fit: Sensitivity, charts, names, differences):
             "Electrons per photon of lens, filters and photodetector, relative to the largest; bands hold 95 %.",
             draw_curves,
         ),
-        Plot("ColorChecker: residuals", "Patches of each channel less the fitted camera's.", draw_responses),
+        Plot(
+            "ColorChecker: residuals",
+            "Patches of each channel less the fitted camera's.",
+            draw_responses,
+        ),
     ]
     if differences:
         plots.append(

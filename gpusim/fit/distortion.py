@@ -110,7 +110,10 @@ def fit_distortion(
 def _calibrate(boards: list[Board], size, nominal) -> Geometry:
     """Return the geometry with as many coefficients as the corners pay for."""
     cv2 = require_cv2()
-    points = [np.column_stack([one.places, np.zeros(len(one.places))]).astype(np.float32) for one in boards]
+    points = [
+        np.column_stack([one.places, np.zeros(len(one.places))]).astype(np.float32)
+        for one in boards
+    ]
     corners = [one.corners.astype(np.float32).reshape(-1, 1, 2) for one in boards]
     middle = (size[0] - 1) / 2, (size[1] - 1) / 2
     start = np.array([[nominal, 0, middle[0]], [0, nominal, middle[1]], [0, 0, 1]])
@@ -292,7 +295,9 @@ def _plots(boards: list[Board], found: Geometry, size):
         )
         unit = max(np.percentile(np.hypot(*found.residuals.T), 90), 1e-6)
         axes.quiverkey(arrows, 0.9, 1.03, unit, f"{unit:.2g} pixel", labelpos="E")
-        axes.set(xlim=(0, size[0]), ylim=(size[1], 0), aspect="equal", xlabel="column", ylabel="row")
+        axes.set(
+            xlim=(0, size[0]), ylim=(size[1], 0), aspect="equal", xlabel="column", ylabel="row"
+        )
 
     def draw_curve(figure):
         axes = figure.subplots()
@@ -319,7 +324,9 @@ def _plots(boards: list[Board], found: Geometry, size):
             along = (offsets * corners).sum(1) / np.maximum(radius, 1e-9)
             axes.plot(radius, along, ".", markersize=3, label=letter, color=colours.get(letter))
         axes.legend()
-        axes.set(xlabel="distance from the principal point [pixel]", ylabel="shift outwards [pixel]")
+        axes.set(
+            xlabel="distance from the principal point [pixel]", ylabel="shift outwards [pixel]"
+        )
 
     plots = [
         Plot("Radial distortion", "Image height over a pinhole's, minus one.", draw_curve),

@@ -24,7 +24,9 @@ BLOCKS = 10  # along an edge, one left out at a time for intervals
 GAUSSIANS = np.append(0.0, np.geomspace(0.15, 10, 10))  # standard deviations [pixel]
 DISCS = np.geomspace(0.4, 14, 9)  # radii [pixel]
 FLOOR = 0.008  # relative error of MTF50 that the mixture itself makes, without noise
-RIDGE = 0.17  # weight of the weights' squares: noise must not make a mixture of sharp and wide spreads
+RIDGE = (
+    0.17  # weight of the weights' squares: noise must not make a mixture of sharp and wide spreads
+)
 FASTEST = 6.0  # [cycle/pixel] the pixel's own transfer leaves 1e-3 beyond
 
 
@@ -125,9 +127,7 @@ def read_edge(values: np.ndarray, mask: np.ndarray, edge: FoundEdge) -> EdgeSamp
     d, t = place(found, x, y)
     even = seen / (1 + found[6] * t / half)
     block = np.clip(((t / edge.length + 0.5) * BLOCKS).astype(int), 0, BLOCKS - 1)
-    return EdgeSamples(
-        d, even / scale, block, float(found[0]), (float(found[4]), float(found[5]))
-    )
+    return EdgeSamples(d, even / scale, block, float(found[0]), (float(found[4]), float(found[5])))
 
 
 def _cut(mask, edge):
@@ -201,10 +201,7 @@ def _edge_spreads(angle, distances, cutoff, aperture):
     inside = np.abs(place) <= np.abs(distances).max() + 1
     table = np.roll(np.fft.irfft(waves, count, axis=1) * FINE, count // 2, axis=1)[:, inside]
     return np.stack(
-        [
-            np.interp(distances, place[inside], one)
-            for one in table + 0.5 + place[inside] / PERIOD
-        ]
+        [np.interp(distances, place[inside], one) for one in table + 0.5 + place[inside] / PERIOD]
     )
 
 

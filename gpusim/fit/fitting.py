@@ -1,6 +1,7 @@
 """A camera from its own raw files: dark frames, flats, charts, edges, grids, ramps."""
 
 import os
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -12,16 +13,19 @@ import numpy as np
 
 from gpusim.domain.camera import Camera
 from gpusim.domain.errors import BadData, BadFile, format_value
+from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.short_repr import short_repr
-from gpusim.fit.camera_text import camera_text
+from gpusim.fit.camera_text import camera_text, spread_path
 from gpusim.fit.estimate import Estimate, Part
 from gpusim.fit.noise import IsoFit, fit_isos
 from gpusim.fit.noise_part import noise_part
+from gpusim.fit.optics_parts import shared_results
 from gpusim.fit.parts import part_functions
-from gpusim.fit.shots import KINDS, Known, Shot
+from gpusim.fit.shots import Known, Shot
 from gpusim.fit.sorting import Summary, check_same_camera, name_kinds, summarise
 from gpusim.io.atomic import atomic_path, check_output
 from gpusim.io.camera.cameras import camera_of, camera_table, open_camera, override_keys
+from gpusim.io.camera.psf import write_psf
 from gpusim.io.raw.raw_arrays import ARRAYS
 from gpusim.io.raw.raw_files import count_frames
 
@@ -35,6 +39,7 @@ FOLDERS = {  # names of folders whose frames are of one kind
     "shading": "shading",
     **{name: "ramp" for name in ("ramp", "ramps")},
 }
+ORDER = ("shading", "grid", "edges", "chart", "ramp")  # later ones use what earlier ones measured
 RAW_SUFFIXES = frozenset(
     (
         *ARRAYS,
@@ -87,14 +92,27 @@ class Fit:
         for part in self.parts:
             for section, keys in part.settings.items():
                 found.setdefault(section, {}).update(keys)
+        if "psf" in found.get("optics", {}):
+            found["optics"].pop("lateral_color", None)  # the point spreads hold it
         return found
 
     @cached_property
     def camera(self) -> Camera:
         """The camera: measured values, and the base's for the rest."""
         path, table = camera_table(self.base)
-        merged = override_keys(table, {**self.settings, "name": self.name or "fitted"})
-        return camera_of(path, merged)
+        settings = self.settings
+        optics = settings.get("optics", {})
+        spread = optics.pop("psf", None)
+        if spread is not None:
+            optics.pop("model", None)
+        merged = override_keys(table, {**settings, "name": self.name or "fitted"})
+        camera = camera_of(path, merged)
+        if spread is None:
+            return camera
+        plain = {"pupil": Pupil(), "wavefront": Wavefront(), "defocus": 0.0, "lateral_color": 0.0}
+        plain |= {"birefringence": (0.0, 0.0), "diffuser": 0.0}
+        measured = replace(camera.optics, model="measured", psf=spread, **plain)
+        return replace(camera, optics=measured)
 
     def write(
         self, path: str | os.PathLike, page: str | os.PathLike | None = None, maps: bool = False
@@ -125,6 +143,10 @@ class Fit:
         text, written = camera_text(self, path), fit_page(self, path.name)
         if maps:
             files.append(self._write_maps(path))
+        spread = self.settings.get("optics", {}).get("psf")
+        if spread is not None:
+            files.append(spread_path(path))
+            write_psf(files[-1], spread)
         for file, words in ((page, written), (path, text)):
             with atomic_path(file) as temporary:
                 temporary.write_text(words, "utf-8")
@@ -179,10 +201,13 @@ def fit_camera(
     else:
         parts.append(Part("noise", unknown=("noise: no dark frames and flats",)))
     known = _known(camera, first, fits, options or {})
-    for kind in KINDS[2:]:
+    for kind in ORDER:
         chosen = [shot for shot in shots if shot.kind == kind]
         if chosen:
-            parts += _other_parts(kind, chosen, known)
+            found = _other_parts(kind, chosen, known)
+            parts += found
+            more = shared_results(kind, chosen, found[0], known)
+            known = replace(known, shared={**known.shared, **more})
     others = by_kind.get("other", [])
     if others:
         parts.append(Part("other shots", unknown=(_other_line(others),)))
@@ -230,7 +255,10 @@ def _listed(paths):
 
 
 def _folder_kind(path):
-    return FOLDERS.get(path.absolute().parent.name.lower(), "")
+    """Return the kind of a file by its folder, or by its own name: edges.dng, grid_03.dng."""
+    own = re.match("[a-z]*", path.stem.lower())
+    names = path.absolute().parent.name.lower(), own.group() if own else ""
+    return next((FOLDERS[name] for name in names if name in FOLDERS), "")
 
 
 def _base_for(frame):

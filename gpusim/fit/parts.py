@@ -10,11 +10,11 @@ PartFunction = Callable[[Sequence[Shot], Known], Part]
 
 # kind of shots -> modules and functions (shots, known) -> Part
 PART_FUNCTIONS: dict[str, tuple[tuple[str, str], ...]] = {
-    "chart": (),
-    "edges": (),
-    "grid": (),
-    "shading": (),
-    "ramp": (),
+    "chart": (("optics_parts", "chart_part"),),
+    "edges": (("optics_parts", "edges_part"),),
+    "grid": (("optics_parts", "grid_part"),),
+    "shading": (("optics_parts", "shading_part"),),
+    "ramp": (("optics_parts", "ramp_part"),),
 }
 
 

@@ -16,7 +16,10 @@ NODES = np.arange(390.0, 721.0, 10.0)  # [nm]
 POPULATION = 400  # curves of a channel that are drawn
 SHIFT, STRETCH, TILT, LEVEL, CROSSTALK = 12.0, 0.12, 0.25, 0.2, 0.06
 CUT_SHIFT = 12.0  # [nm] of the infrared cut
-OWN, LENGTH = 0.04, 22.0  # smooth deviations from all curves: size over the peak, and correlation length [nm]
+OWN, LENGTH = (
+    0.04,
+    22.0,
+)  # smooth deviations from all curves: size over the peak, and correlation length [nm]
 LEAST_ERROR = 1e-3  # of a patch's response: reflectances of charts differ from their tables
 MOST_ERROR = 0.05
 SLOPE = 0.05  # expected change of the light over the chart
@@ -70,7 +73,10 @@ def curve_prior(letter: str) -> tuple[np.ndarray, np.ndarray]:
         Mean and covariance.
     """
     random = np.random.default_rng(list(map(ord, "curves" + letter)))
-    sets = [np.array(curve("mt9v024").at(NODES, outside=None))[:3], np.array(curve("iset-rgb").at(NODES, outside=None))]
+    sets = [
+        np.array(curve("mt9v024").at(NODES, outside=None))[:3],
+        np.array(curve("iset-rgb").at(NODES, outside=None)),
+    ]
     cuts = [curve("ir-cut-phone"), curve("ir-cut-schott")]
     found = []
     for _ in range(POPULATION):
@@ -136,7 +142,9 @@ def fit_sensitivity(
         curves, covariances, predicted, evidence = _posterior(
             priors, models, responses, errors, scales * unit, slopes, places, used, relative
         )
-        scales, slopes = _align(predicted, responses, errors, scales, slopes, places, used, relative)
+        scales, slopes = _align(
+            predicted, responses, errors, scales, slopes, places, used, relative
+        )
         if len(letters) > 0:
             relative = _relative_error(predicted, responses, errors, used, len(letters))
     curves, covariances, predicted, evidence = _posterior(
@@ -177,7 +185,9 @@ def _posterior(priors, models, responses, errors, scales, slopes, places, used, 
         covariances.append(covariance - own.T @ gain)
         evidence -= 0.5 * miss @ scipy.linalg.cho_solve(factor, miss)
         evidence -= np.log(np.diag(factor[0])).sum()
-        evidence += np.log(np.maximum(seen, 1e-9)).sum()  # of relative responses, alike in all lights
+        evidence += np.log(
+            np.maximum(seen, 1e-9)
+        ).sum()  # of relative responses, alike in all lights
         root = np.linalg.inv(np.linalg.cholesky(covariance))
         system = np.vstack([matrix / sigma[:, None], root])
         curves.append(scipy.optimize.nnls(system, np.append(seen / sigma, root @ mean))[0])
@@ -221,13 +231,13 @@ def _relative_error(predicted, responses, errors, used, channels):
         noise = (spread / np.maximum(model, 1e-9))[chosen]
         squares += np.maximum(miss**2 - noise**2, 0).sum()
         freedom += miss.size
-    freedom = max(freedom - 8 * channels, freedom / 3)  # a chart tells some eight numbers of a curve
+    freedom = max(
+        freedom - 8 * channels, freedom / 3
+    )  # a chart tells some eight numbers of a curve
     return float(np.clip(np.sqrt(squares / freedom), LEAST_ERROR, MOST_ERROR))
 
 
-def guess_light(
-    candidates: Mapping[str, Spectrum], fit
-) -> tuple[str, Sensitivity]:
+def guess_light(candidates: Mapping[str, Spectrum], fit) -> tuple[str, Sensitivity]:
     """Return the light of the greatest evidence, and its fit.
 
     Args:

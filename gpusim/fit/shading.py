@@ -23,7 +23,19 @@ from gpusim.io.raw.raw_frame import RawFrame
 
 BLOCKS = 64  # blocks on the longer side of the frame
 # models that are tried: order of a polynomial in rows and columns, and the last even power of the field height
-MODELS = ((1, 4), (2, 4), (2, 6), (2, 8), (4, 6), (4, 8), (4, 10), (6, 8), (6, 10), (8, 10), (10, 10))
+MODELS = (
+    (1, 4),
+    (2, 4),
+    (2, 6),
+    (2, 8),
+    (4, 6),
+    (4, 8),
+    (4, 10),
+    (6, 8),
+    (6, 10),
+    (8, 10),
+    (10, 10),
+)
 TAIL = 4.0  # robust standard deviations of a block that is left out: dust, a hot pixel
 ROUND = 0.0025  # RMS by which a round fall-off may miss the map
 COLOURED = 0.005  # difference of channels that is worth a line
@@ -120,7 +132,9 @@ def _surface(plane, block, shape, name):
     cols = (np.arange(plane.shape[1]) + 0.5) * block[1] - 0.5
     y, x = (axis.ravel() for axis in np.meshgrid(rows, cols, indexing="ij"))
     seen = plane.ravel() / np.median(plane)
-    corners = [np.array(at, float) for at in zip(*(place[:2] for place in _corners(shape)), strict=True)]
+    corners = [
+        np.array(at, float) for at in zip(*(place[:2] for place in _corners(shape)), strict=True)
+    ]
     fits = []
     for order, power in MODELS:
         matrix = _basis(y, x, shape, order, power)
@@ -138,9 +152,13 @@ def _surface(plane, block, shape, name):
         ends = _basis(*corners, shape, order, power)
         inner = np.linalg.pinv(matrix[kept].T @ matrix[kept])
         variance = squares / max(count - size, 1) * np.einsum("ij,jk,ik->i", ends, inner, ends)
-        fits.append((score, order, power, found, np.where(kept, left, np.nan), ends @ found, variance))
+        fits.append(
+            (score, order, power, found, np.where(kept, left, np.nan), ends @ found, variance)
+        )
     if not fits:
-        raise BadData(f"{name}: {plane.shape[1]} x {plane.shape[0]} blocks, too few; use a larger frame")
+        raise BadData(
+            f"{name}: {plane.shape[1]} x {plane.shape[0]} blocks, too few; use a larger frame"
+        )
     fits.sort(key=lambda one: one[0])
     score, order, power, found, left, ends, variance = fits[0]
     if not (ends > 0.02).all():
@@ -157,9 +175,7 @@ def _surface(plane, block, shape, name):
     return Falloff(order, power, found, float(error), left.reshape(plane.shape))
 
 
-def fit_shading(
-    frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | None = None
-) -> Part:
+def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | None = None) -> Part:
     """Fit the fall-off of the light to frames of even light through the lens.
 
     Args:
@@ -184,7 +200,9 @@ def fit_shading(
             value = float(own.at(row, col, shape))
             reach = 1.96 * value * np.hypot(own.error, FLOOR)
             key = f"relative illumination of {letter} at the {words} corner"
-            estimates[key] = Estimate(value, value - reach, value + reach, "", sources, "the frame's middle is 1")
+            estimates[key] = Estimate(
+                value, value - reach, value + reach, "", sources, "the frame's middle is 1"
+            )
     return Part(
         "shading",
         estimates,
@@ -293,7 +311,9 @@ def _plots(found, shape, main):
         axes.set(xlabel="block", ylabel="block")
 
     return (
-        Plot("Fall-off of the light", f"Fitted response of channel {main} to even light.", draw_map),
+        Plot(
+            "Fall-off of the light", f"Fitted response of channel {main} to even light.", draw_map
+        ),
         Plot("Fall-off along the diagonal", "All channels, from corner to corner.", draw_diagonal),
         Plot("Flat: residuals", f"Blocks of channel {main} less the smooth surface.", draw_left),
     )

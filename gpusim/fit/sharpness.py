@@ -118,11 +118,17 @@ def _usable(edges, frame, clipped):
     for edge in edges:
         degrees = f"{np.degrees(edge.tilt):.2g} degrees from the pixels' axis"
         if edge.length * np.tan(edge.tilt) < STRAIGHTEST * period:
-            faults.append(f"{name}: an edge is too straight, {degrees}; turn the target by about 5 degrees")
+            faults.append(
+                f"{name}: an edge is too straight, {degrees}; turn the target by about 5 degrees"
+            )
         elif edge.tilt > STEEPEST:
-            faults.append(f"{name}: an edge is too steep, {degrees}; turn the target by about 5 degrees")
+            faults.append(
+                f"{name}: an edge is too steep, {degrees}; turn the target by about 5 degrees"
+            )
         elif _share_clipped(edge, clipped) > 1e-3:
-            faults.append(f"{name}: the light side of an edge is clipped; expose less, to half of the range")
+            faults.append(
+                f"{name}: the light side of an edge is clipped; expose less, to half of the range"
+            )
         else:
             used.append(edge)
     return used, faults
@@ -231,7 +237,9 @@ def _estimates(places):
         for line, way in ((place.across, "along rows"), (place.down, "along columns")):
             if line is not None:
                 value, low, high = line.mtf50
-                key = f"MTF50 {way} of {place.letter} at row {place.row:.0f}, column {place.col:.0f}"
+                key = (
+                    f"MTF50 {way} of {place.letter} at row {place.row:.0f}, column {place.col:.0f}"
+                )
                 found[key] = Estimate(value, low, high, "cycle/pixel", place.sources)
     return found
 
@@ -516,7 +524,9 @@ def _plots(places, shape):
                     )
         axes.axhline(0.5, color="0.7", linewidth=0.8)
         axes.axvline(0.5, color="0.7", linewidth=0.8)
-        axes.set(xlabel="spatial frequency [cycle/pixel]", ylabel="MTF", ylim=(0, 1.02), xlim=(0, 1))
+        axes.set(
+            xlabel="spatial frequency [cycle/pixel]", ylabel="MTF", ylim=(0, 1.02), xlim=(0, 1)
+        )
         axes.set_title(f"channel {main}: along rows -, along columns --, paler to the corner")
 
     def draw_residuals(figure):

@@ -52,6 +52,7 @@ class Known:
         white_level: Largest value [DN].
         gain: System gain by ISO speed [DN/e-]; empty if it was not measured.
         options: Options of the user by name, such as the light of a chart.
+        shared: What other parts of the fit measured, such as the fall-off over the frame.
     """
 
     base: Camera
@@ -60,5 +61,6 @@ class Known:
     white_level: float
     gain: Mapping[float | None, float] = field(default_factory=dict)
     options: Mapping[str, Any] = field(default_factory=dict)
+    shared: Mapping[str, Any] = field(default_factory=dict)
 
     __repr__ = short_repr

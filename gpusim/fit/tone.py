@@ -60,7 +60,12 @@ def fit_tone(
     nodes, values, errors = _curve(x, y, error, source)
     estimates = {
         f"processor.tone at {at:.3f}": Estimate(
-            float(value), float(value - 1.96 * sigma), float(value + 1.96 * sigma), "", (source,), "encoded as sRGB"
+            float(value),
+            float(value - 1.96 * sigma),
+            float(value + 1.96 * sigma),
+            "",
+            (source,),
+            "encoded as sRGB",
         )
         for at, value, sigma in zip(nodes, values, errors, strict=True)
     }
@@ -74,7 +79,9 @@ def fit_tone(
         )
     unknown = []
     if x.min() > 0.1:
-        unknown.append(f"tone below {100 * x.min():.2g} % (encoded): no light there; shoot a ramp from black")
+        unknown.append(
+            f"tone below {100 * x.min():.2g} % (encoded): no light there; shoot a ramp from black"
+        )
     if y.max() < WHITE:
         unknown.append(
             f"tone above {100 * y.max():.2g} % (encoded): no light there, the curve goes on to white; shoot a ramp that "
@@ -126,7 +133,11 @@ def _levels(shown, light):
             continue
         own = shown[chosen]
         rows.append(
-            (encoded[chosen].mean(), own.mean(), np.hypot(own.std(ddof=1), 1e-3) / np.sqrt(len(own)))
+            (
+                encoded[chosen].mean(),
+                own.mean(),
+                np.hypot(own.std(ddof=1), 1e-3) / np.sqrt(len(own)),
+            )
         )
     return np.array(rows).reshape(-1, 3).T
 
@@ -142,7 +153,9 @@ def _curve(x, y, error, source):
         )
     top = 1.0
     nodes = np.unique(np.concatenate([[0.0], np.linspace(max(x.min(), 1e-3), top, COUNT - 1)]))
-    start = np.interp(nodes, np.append(np.insert(x, 0, 0), top + 1e-6), np.append(np.insert(rising, 0, 0), 1.0))
+    start = np.interp(
+        nodes, np.append(np.insert(x, 0, 0), top + 1e-6), np.append(np.insert(rising, 0, 0), 1.0)
+    )
     start = np.maximum.accumulate(start + 1e-4 * np.arange(len(nodes)))
     steps = np.diff(start / start[-1])
 
@@ -157,10 +170,7 @@ def _curve(x, y, error, source):
     found = scipy.optimize.least_squares(miss, np.log(np.maximum(steps, 1e-5)), bounds=(-14, 3))
     values = values_of(found.x)
     jacobian = np.stack(
-        [
-            (values_of(found.x + 1e-5 * one) - values) / 1e-5
-            for one in np.eye(len(found.x))
-        ],
+        [(values_of(found.x + 1e-5 * one) - values) / 1e-5 for one in np.eye(len(found.x))],
         axis=1,
     )
     freedom = max(len(x) - len(found.x), 1)

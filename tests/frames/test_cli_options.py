@@ -194,6 +194,7 @@ ROWS = {
         "maps": ("a.dng -o out.toml", "--maps"),
         "base": ("a.dng -o out.toml", "--base mono"),
         "cfa": ("a.dng -o out.toml", "--cfa bayer-grbg"),
+        "light": ("a.dng -o out.toml", "--light D65 A"),
     },
     "refocus": {
         "out": (f"{VIEWS} -o out.npy", "-o out.png"),
