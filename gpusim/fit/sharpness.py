@@ -14,6 +14,7 @@ from gpusim.fit.edge_finding import STEEPEST, FoundEdge, find_edges
 from gpusim.fit.edge_fit import (
     DISCS,
     GAUSSIANS,
+    EdgeSamples,
     LineSpread,
     diffraction,
     disc_transfer,
@@ -35,6 +36,8 @@ from gpusim.fit.planes import (
 from gpusim.io.raw.raw_frame import RawFrame
 
 STRAIGHTEST = 1.0  # periods of the mosaic that an edge must cross along its length
+SAME = 0.3  # of an edge's length by which two frames' targets may be apart and still be one
+NOISIEST = 0.2  # noise of a pixel over the step
 UNKNOWN_F_NUMBER = 4.0
 SHORTEST_WAVE = 400e-9  # [m] that the samples of a point spread must determine
 LOST = 3e-3  # of the energy outside a point spread's array
@@ -79,7 +82,7 @@ def measure_sharpness(
     """Measure the blur at every target in frames of slanted edges.
 
     Args:
-        frames: One frame or more; the same target in several frames counts as several.
+        frames: One frame or more; the same target in several frames gives one result.
         black: Black level [DN], see `gpusim.fit.planes.light_values`.
         pitch: Pixel pitch [m]; None: no diffraction in the model.
         f_number: F-number; None: the frames', else no diffraction in the model.
@@ -93,21 +96,84 @@ def measure_sharpness(
         BadData: No edge can be used; the message says why and what to shoot instead.
     """
     every = checked_frames(frames, "edges")
-    found: list[Place] = []
+    targets: list[_Target] = []
     faults: list[str] = []
     for frame in every:
         values = light_values(frame, black)
+        clipped = clipped_mask(frame, values)
         if falloff is not None:
             values = values / falloff
-        number = f_number or frame.f_number
-        scale = number / pitch if number and pitch else 0.0
-        clipped = clipped_mask(frame, light_values(frame, black))
         edges = find_edges(even_plane(frame, values), frame.name or "edges")
         used, fault = _usable(edges, frame, clipped)
         faults += fault
-        found += _places(frame, values, used, scale, aperture, faults)
+        _gather(targets, frame, values, used, faults)
+    number = f_number or every[0].f_number
+    scale = number / pitch if number and pitch else 0.0
+    found = [place for target in targets for place in _places(target, scale, aperture)]
     if not found:
         raise BadData(faults[0] if faults else "edges: none can be used")
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _Target:
+    """Pixels around the edges of one outline in all frames: samples by channel and direction."""
+
+    row: float
+    col: float
+    size: float
+    samples: dict[tuple[str, bool], list[EdgeSamples]]
+    sources: list[str]
+
+
+def _gather(targets: list[_Target], frame, values, edges, faults):
+    """Add the pixels of a frame's edges to the targets; outlines at one place are one target."""
+    masks = letter_masks(frame)
+    for number in dict.fromkeys(edge.target for edge in edges):
+        own = [edge for edge in edges if edge.target == number]
+        row, col = np.mean([(edge.row, edge.col) for edge in own], axis=0)
+        size = max(edge.length for edge in own)
+        same = [one for one in targets if np.hypot(one.row - row, one.col - col) < SAME * size]
+        target = same[0] if same else _Target(float(row), float(col), size, {}, [])
+        for edge in own:
+            for letter, mask in masks.items():
+                sample = _sample(values, mask, edge, frame, faults)
+                if sample is not None:
+                    target.samples.setdefault((letter, edge.is_upright), []).append(sample)
+        if target.samples and not same:
+            targets.append(target)
+        if target.samples and frame.name not in target.sources:
+            target.sources.append(frame.name)
+
+
+def _sample(values, mask, edge, frame, faults):
+    """Return the pixels of a channel around an edge, or None and a fault."""
+    name = frame.name or "edges"
+    try:
+        sample = read_edge(values, mask, edge)
+    except BadData as error:
+        faults.append(f"{name}: {error}; use a larger target")
+        return None
+    if sample.noise > NOISIEST:
+        faults.append(
+            f"{name}: an edge is too noisy, {sample.noise:.2g} of its step; give more light, or a lower ISO"
+        )
+        return None
+    return sample
+
+
+def _places(target: _Target, scale, aperture):
+    """Return the blur of each channel of a target."""
+    found = []
+    for letter in dict.fromkeys(letter for letter, _ in target.samples):
+        cutoff = scale * WAVELENGTHS.get(letter, 550.0) * 1e-9
+        lines = [
+            fit_line(samples, cutoff, aperture)
+            if (samples := target.samples.get((letter, is_upright)))
+            else None
+            for is_upright in (True, False)
+        ]
+        found.append(Place(target.row, target.col, letter, *lines, tuple(target.sources)))
     return found
 
 
@@ -144,38 +210,6 @@ def _share_clipped(edge: FoundEdge, clipped):
         max(row - reach // 2, 0) : row + reach // 2, max(col - reach // 2, 0) : col + reach // 2
     ]
     return float(part.mean()) if part.size else 0.0
-
-
-def _places(frame, values, edges, scale, aperture, faults):
-    """Return the blur of each channel and outline."""
-    masks, found = letter_masks(frame), []
-    for target in dict.fromkeys(edge.target for edge in edges):
-        own = [edge for edge in edges if edge.target == target]
-        row, col = np.mean([(edge.row, edge.col) for edge in own], axis=0)
-        for letter, mask in masks.items():
-            cutoff = scale * WAVELENGTHS.get(letter, 550.0) * 1e-9
-            fits: list[LineSpread | None] = []
-            for is_upright in (True, False):
-                samples = []
-                for edge in own:
-                    if edge.is_upright != is_upright:
-                        continue
-                    try:
-                        sample = read_edge(values, mask, edge)
-                    except BadData as error:
-                        faults.append(f"{frame.name or 'edges'}: {error}; use a larger target")
-                        continue
-                    if sample.noise > 0.2:
-                        faults.append(
-                            f"{frame.name or 'edges'}: an edge is too noisy, {sample.noise:.2g} of its step; give more "
-                            "light, or a lower ISO"
-                        )
-                    else:
-                        samples.append(sample)
-                fits.append(fit_line(samples, cutoff, aperture) if samples else None)
-            if fits[0] or fits[1]:
-                found.append(Place(float(row), float(col), letter, *fits, (frame.name,)))
-    return found
 
 
 def fit_sharpness(

@@ -1,0 +1,326 @@
+"""Fits of optics and colour judged with random cameras in plain NumPy, which share no code with the fit.
+
+Seeds below HELD_OUT were seen while the fit was written; the rest were run once, at the end.
+"""
+
+import board_targets as boards
+import chart_targets as charts
+import edge_targets as edges
+import flat_targets as flats
+import numpy as np
+import pytest
+from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
+from scipy.optimize import least_squares
+
+from gpusim.fit.color import fit_color
+from gpusim.fit.distortion import fit_distortion
+from gpusim.fit.shading import fit_shading
+from gpusim.fit.sharpness import fit_sharpness
+from gpusim.fit.tone import fit_tone
+from gpusim.io.raw.raw_frame import RawFrame
+
+HELD_OUT, CAMERAS = 1000, 20
+SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
+BLACK = np.array([[64.0]])
+ACROSS = 3  # squares across and down a frame of edges
+
+pytestmark = pytest.mark.slow
+
+
+def share(flags):
+    return np.mean(np.concatenate([np.atleast_1d(one) for one in flags]))
+
+
+def edge_frames(seed, count=3):
+    """Frames of 3 x 3 slanted squares, their OTFs, pitch and f-number. Every third camera is a Bayer one."""
+    rng = np.random.default_rng(seed)
+    number, pitch = rng.uniform(1.8, 5.6), rng.uniform(1.2e-6, 4e-6)
+    has_mosaic = seed % 3 == 0
+    cutoff = (535e-9 if has_mosaic else 560e-9) * number / pitch
+    if cutoff > 1.3:
+        pitch *= cutoff / 1.3
+        cutoff = 1.3
+    pattern = edges.transform(edges.square(np.radians(rng.uniform(4, 9)), rng.uniform(70, 80)))
+    size = ACROSS * edges.TILE
+    light, otfs = np.zeros((size, size)), []
+    for row in range(ACROSS):
+        for col in range(ACROSS):
+            otf = edges.aberrated_otf(cutoff, rng.normal(0, [0.25, 0.12, 0.08, 0.08, 0.12]))
+            tile = np.s_[
+                row * edges.TILE : (row + 1) * edges.TILE, col * edges.TILE : (col + 1) * edges.TILE
+            ]
+            light[tile] = 0.2 + 0.6 * edges.expose(pattern, otf)
+            otfs.append(otf)
+    frames = [
+        RawFrame(
+            np.rint(rng.poisson(np.maximum(light, 0) * 12000) * 0.25 + rng.normal(0, 1, light.shape) + 64),
+            ("RG", "GB") if has_mosaic else ("Y",),
+            f"edges_{k}.dng",
+            black_level=BLACK,
+            white_level=4095,
+        )
+        for k in range(count)
+    ]
+    return frames, otfs, pitch, number
+
+
+def simulated_mtf50(spread, pitch, row, col, shape, wave, is_across):
+    """MTF50 [cycle/pixel] of point spreads at a place, with a pixel without gaps, by a plain Fourier sum."""
+    corner = np.hypot(*shape) / 2
+    place = (row - (shape[0] - 1) / 2) / corner, (col - (shape[1] - 1) / 2) / corner
+    values = spread.at(*place)
+    kernel = values[np.argmin(np.abs(spread.wavelengths - wave))]
+    line = kernel.sum(0 if is_across else 1)
+    at = (np.arange(len(line)) - (len(line) - 1) / 2) * spread.spacing / pitch
+    f = np.linspace(0, 2, 4001)
+    seen = np.abs(np.exp(-2j * np.pi * np.outer(f, at)) @ line) / line.sum() * np.abs(np.sinc(f))
+    k = np.flatnonzero(seen <= 0.5)[0]
+    return float(np.interp(0.5, [seen[k], seen[k - 1]], [f[k], f[k - 1]]))
+
+
+def judge_sharpness(seed):
+    """Relative errors of MTF50 of the edges' fit and of the simulated point spreads, and hits of intervals."""
+    frames, otfs, pitch, number = edge_frames(seed)
+    part = fit_sharpness(frames, pitch=pitch, f_number=number)
+    spread = part.settings["optics"]["psf"]
+    letter, wave = ("G", 535) if frames[0].cfa != ("Y",) else ("Y", 560)
+    errors, hits, simulated = [], [], []
+    for key, one in part.estimates.items():
+        if f" of {letter} " not in key:
+            continue
+        words = key.replace(",", "").split()
+        row, col = int(words[-3]), int(words[-1])
+        is_across = words[2] == "rows"
+        truth = edges.mtf50(otfs[row // edges.TILE * ACROSS + col // edges.TILE], is_across)
+        errors.append(one.value / truth - 1)
+        hits.append(one.low <= truth <= one.high)
+        middle = [(at // edges.TILE + 0.5) * edges.TILE - 0.5 for at in (row, col)]
+        if row // edges.TILE == 1 and col // edges.TILE == 1:  # a node of the grid
+            again = simulated_mtf50(
+                spread, pitch, *middle, frames[0].values.shape, wave, is_across
+            )
+            simulated.append(again / truth - 1)
+    return np.array(errors), np.array(hits), np.array(simulated)
+
+
+def test_mtf50_of_random_lenses():
+    found = [judge_sharpness(seed) for seed in SEEDS]
+    errors, hits, simulated = (np.concatenate(one) for one in zip(*found, strict=True))
+    print(
+        f"MTF50: {len(errors)} edges' directions, |error| 95 % {100 * np.percentile(np.abs(errors), 95):.2f} %, max "
+        f"{100 * np.abs(errors).max():.2f} %, intervals hold {hits.mean():.3f}; simulated: 95 % "
+        f"{100 * np.percentile(np.abs(simulated), 95):.2f} %, max {100 * np.abs(simulated).max():.2f} %"
+    )
+    assert np.percentile(np.abs(errors), 95) < 0.02
+    assert np.percentile(np.abs(simulated), 95) < 0.02
+    assert hits.mean() > 0.9
+
+
+def judge_distortion(seed):
+    """Largest displacement over the frame [pixel] after the best rotation, and hits of intervals."""
+    rng = np.random.default_rng(seed)
+    cols, rows = 640, 480
+    focal = rng.uniform(0.8, 1.6) * cols
+    matrix = (
+        focal,
+        focal * rng.uniform(0.998, 1.002),
+        (cols - 1) / 2 + rng.normal(0, 8),
+        (rows - 1) / 2 + rng.normal(0, 8),
+    )
+    edge = (np.hypot(cols, rows) / 2 / focal) ** 2
+    truth = np.array(
+        [rng.uniform(-0.12, 0.08) / edge, rng.uniform(-0.02, 0.02) / edge**2, *rng.normal(0, 4e-4, 2), 0]
+    )
+    excess = {"R": rng.normal(0, 8e-4), "G": 0.0, "B": rng.normal(0, 8e-4)}
+    frames = [board_frame(rng, (cols, rows), matrix, truth, excess, f"grid_{k}.dng") for k in range(10)]
+    part = fit_distortion(frames)
+    found = part.settings["optics"]["calibration"]
+    own = [found[name] for name in ("k1", "k2", "p1", "p2", "k3")]
+    x, y = np.meshgrid(np.linspace(0, cols - 1, 33), np.linspace(0, rows - 1, 25))
+    u, v = boards.undistort((x - matrix[2]) / matrix[0], (y - matrix[3]) / matrix[1], truth)
+    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
+
+    def miss(turn):
+        a, b, c = boards.rotation(*turn) @ rays
+        p, q = boards.distort(a / c, b / c, own)
+        return np.concatenate(
+            [
+                found["fx"] * p + found["cx"] - x.ravel(),
+                found["fy"] * q + found["cy"] - y.ravel(),
+            ]
+        )
+
+    best = least_squares(miss, np.zeros(3), x_scale=1e-3)
+    apart = np.hypot(*best.fun.reshape(2, -1))
+    hits, lateral = [], []
+    for name, value in zip(("fx", "fy", "cx", "cy"), matrix, strict=True):
+        one = part.estimates[f"optics.calibration.{name}"]
+        hits.append(one.low <= value <= one.high)
+    for letter in "RB":
+        one = part.estimates[f"optics.lateral_color of {letter}"]
+        hits.append(one.low <= excess[letter] <= one.high)
+        lateral.append(abs(one.value - excess[letter]) * np.hypot(cols, rows) / 2)
+    return apart, np.array(hits), np.array(lateral)
+
+
+def board_frame(rng, size, matrix, truth, excess, name):
+    """A Bayer frame of a board: each channel's own view, noise."""
+    state, planes = rng.bit_generator.state, {}
+    for letter in "RGB":
+        rng.bit_generator.state = state
+        planes[letter] = boards.random_view(
+            rng, size, matrix, truth, (13, 9), excess=excess[letter], fine=2
+        )
+    raw = planes["G"].copy()
+    raw[::2, ::2] = planes["R"][::2, ::2] * 0.6
+    raw[1::2, 1::2] = planes["B"][1::2, 1::2] * 0.5
+    seen = rng.poisson(raw * 6000) * 0.5 + rng.normal(0, 2, raw.shape) + 64
+    return RawFrame(np.rint(seen), ("RG", "GB"), name, black_level=BLACK, white_level=4095)
+
+
+def test_distortion_of_random_lenses():
+    found = [judge_distortion(seed) for seed in SEEDS]
+    most = np.array([one[0].max() for one in found])
+    rms = np.array([np.sqrt(np.mean(one[0] ** 2)) for one in found])
+    lateral = np.concatenate([one[2] for one in found])
+    print(
+        f"distortion: largest displacement in the frame {np.median(most):.3f} (median), {most.max():.3f} pixel (max), RMS "
+        f"up to {rms.max():.3f}; lateral colour at the corner {lateral.max():.3f} pixel; intervals hold "
+        f"{share([one[1] for one in found]):.3f}"
+    )
+    assert np.percentile(most, 90) < 0.2
+    assert rms.max() < 0.2
+    assert lateral.max() < 0.2
+
+
+def judge_shading(seed):
+    """Largest relative error of the camera file's fall-off, and hits of the corners' intervals."""
+    rng = np.random.default_rng(seed)
+    shape = int(rng.integers(400, 700)), int(rng.integers(500, 900))
+    truth = flats.falloff(rng, shape, seed % 2 == 0)
+    cfa = (("RG", "GB"), ("Y",), ("GRB", "BGR"))[seed % 3]
+    frames = [
+        RawFrame(flats.expose_flat(rng, truth), cfa, f"shading_{k}.dng", black_level=BLACK)
+        for k in range(4)
+    ]
+    part = fit_shading(frames)
+    y, x = np.indices(shape)
+    if "sensor" in part.settings:
+        table = np.array(part.settings["sensor"]["vignetting"])
+        nodes = [np.linspace(-0.5, n - 0.5, m) for n, m in zip(shape, table.shape, strict=True)]
+        seen = RegularGridInterpolator(nodes, table)(np.stack([y, x], axis=-1))
+    else:
+        curve = part.settings["optics"]["relative_illumination"]
+        height = np.hypot(y - (shape[0] - 1) / 2, x - (shape[1] - 1) / 2) / (np.hypot(*shape) / 2)
+        seen = np.interp(height, curve["heights"], curve["values"])
+    ratio = seen / truth
+    ratio /= np.median(ratio)
+    middle = truth[shape[0] // 2, shape[1] // 2]
+    hits = []
+    for key, one in part.estimates.items():
+        row = 0 if "upper" in key else -1
+        col = 0 if "left" in key else -1
+        hits.append(one.low <= truth[row, col] / middle <= one.high)
+    return float(np.abs(ratio - 1).max()), np.array(hits)
+
+
+def test_shading_of_random_lenses():
+    found = [judge_shading(seed) for seed in SEEDS]
+    most = np.array([one[0] for one in found])
+    print(
+        f"shading: largest error in the frame {100 * np.median(most):.2f} % (median), {100 * most.max():.2f} % (max); "
+        f"intervals hold {share([one[1] for one in found]):.3f}"
+    )
+    assert most.max() < 0.005
+
+
+def other_surfaces():
+    """Reflectances of surfaces that are not the chart's, (N, L): paint, objects, skin, leaves."""
+    from gpusim.data.reflectances import reflectances
+
+    sets = [reflectances(name) for name in ("munsell", "dupont", "objects", "skin")]
+    return np.concatenate(
+        [[np.interp(charts.WAVES, one.wavelengths, row) for row in one.values] for one in sets]
+    )
+
+
+def color_differences(camera, fitted, light):
+    """CIEDE2000 between responses of the true and of the fitted camera to other surfaces, in CIELAB by one matrix.
+
+    The matrix takes the true camera's white-balanced responses to XYZ, least squares. Exposure is matched in G.
+    """
+    import colour
+
+    surfaces = other_surfaces()
+    eye = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
+    curves = np.array([np.interp(charts.WAVES, eye.wavelengths, eye.values[:, k]) for k in range(3)])
+    weights = curves * charts.photons(light) / charts.WAVES
+    wanted, white = surfaces @ weights.T / weights[1].sum(), weights.sum(1) / weights[1].sum()
+    seen, again = (charts.responses(one, light, surfaces) for one in (camera, fitted))
+    balance = charts.responses(camera, light, np.ones((1, len(charts.WAVES))))
+    again = again * (seen[:, 1] @ again[:, 1]) / (again[:, 1] @ again[:, 1])
+    matrix = np.linalg.lstsq(seen / balance, wanted, rcond=None)[0]
+    lab = [
+        colour.XYZ_to_Lab(np.maximum(one / balance @ matrix, 0), colour.XYZ_to_xy(white))
+        for one in (seen, again)
+    ]
+    return colour.delta_E(*lab, method="CIE 2000")
+
+
+def judge_color(seed):
+    """Colour differences of other surfaces in D65, and hits of the sensitivities' peaks.
+
+    Every second camera has two lights. The chart's patches differ from their tables by 0.5 %.
+    """
+    rng = np.random.default_rng(seed)
+    camera = charts.random_camera(rng)
+    lights = ("D65", "2856K") if seed % 2 else ("D65",)
+    frames = []
+    for light in lights:
+        patches = charts.responses(camera, light, charts.checker())
+        patches = patches * (1 + rng.normal(0, 0.005, (24, 1)))
+        cfa = (("RG", "GB"), ("GB", "RG"), ("GR", "BG"))[seed % 3]
+        turn = rng.uniform(-0.2, 0.2) + np.pi * (seed % 5 == 0)
+        values = charts.draw(patches, (360, 480), cfa, rng, turn=turn)
+        frames.append(RawFrame(values, cfa, f"{light}.dng", black_level=BLACK, white_level=4095))
+    part = fit_color(frames, lights=["D65", "A"][: len(lights)])
+    table = part.settings["sensor"]["sensitivity"]
+    fitted = np.array(
+        [np.interp(charts.WAVES, table["wavelengths_nm"], table[c], left=0, right=0) for c in "RGB"]
+    )
+    return color_differences(camera, fitted, "D65"), len(lights)
+
+
+def test_colour_of_random_cameras():
+    found = [judge_color(seed) for seed in SEEDS]
+    for count in (1, 2):
+        all_ = np.concatenate([one for one, lights in found if lights == count])
+        print(
+            f"colour, {count} light(s): dE2000 of {all_.size} other surfaces: mean {all_.mean():.3f}, 95 % "
+            f"{np.percentile(all_, 95):.3f}, max {all_.max():.3f}"
+        )
+        assert np.percentile(all_, 95) < 1
+    assert all(one.mean() < 1 for one, _ in found)
+
+
+def judge_tone(seed):
+    """Largest error of the tone curve [code], and hits of the nodes' intervals."""
+    rng = np.random.default_rng(seed)
+    curve = flats.tone(rng)
+    light = np.broadcast_to((np.arange(900) + 0.5) / 900, (40, 900))
+    codes = np.rint(255 * curve(flats.encode(light)) + rng.normal(0, 0.7, light.shape)).clip(0, 255)
+    part = fit_tone(codes, light)
+    nodes, values = part.settings["processor"]["tone"]
+    at = np.linspace(0.05, 1, 300)
+    hits = [
+        one.low <= curve(np.array(x)) <= one.high
+        for x, one in zip(nodes, part.estimates.values(), strict=True)
+    ]
+    return 255 * np.abs(PchipInterpolator(nodes, values)(at) - curve(at)).max(), np.array(hits)
+
+
+def test_tone_of_random_cameras():
+    found = [judge_tone(seed) for seed in SEEDS]
+    most = np.array([one[0] for one in found])
+    print(f"tone: largest error {most.max():.2f} codes; intervals hold {share([one[1] for one in found]):.3f}")
+    assert most.max() < 1
