@@ -69,7 +69,7 @@ def random_view(rng, size, matrix, coefficients, squares, **options):
     distance = matrix[0] * across / (fill * size[0])
     middle = turn @ np.array([across / 2, down / 2, 0])
     free = (1 - fill) / 2
-    at = rng.choice([-1, 1], 2) * rng.uniform(0.2, 0.9, 2) * free
+    at = rng.choice([-1, 1], 2) * rng.uniform(0.6, 1.1, 2) * free
     shift = np.array(
         [at[0] * size[0] / matrix[0] * distance, at[1] * size[1] / matrix[1] * distance, distance]
     )

@@ -114,7 +114,8 @@ def _find_outline(frame, values):
     homography = _grid_of(middles, sides) if len(middles) >= LEAST else None
     if homography is None:
         raise BadData(
-            f"{frame.name or 'chart'}: no ColorChecker found ({len(middles)} patches of 24); let it fill a third of the "
+            f"{frame.name or 'chart'}: no ColorChecker found ({len(middles)} patches of 24); let it fill a third "
+            "of the "
             "frame or more, in even light, or give corners, x and y of the middles of its corner patches"
         )
     corners = np.array([[0, 0], [COLUMNS - 1, 0], [COLUMNS - 1, ROWS - 1], [0, ROWS - 1]], float)
@@ -137,7 +138,7 @@ def _patch_candidates(blocks):
         areas = np.bincount(labels.ravel(), minlength=count + 1)
         for number, part in enumerate(scipy.ndimage.find_objects(labels), 1):
             area = areas[number]
-            if part is None or not SMALLEST * slope.size < area < LARGEST * slope.size:
+            if part is None or not max(SMALLEST * slope.size, 16) < area < LARGEST * slope.size:
                 continue
             rows, cols = np.nonzero(labels[part] == number)
             covariance = np.cov(np.stack([cols, rows]))

@@ -65,7 +65,8 @@ def fit_color(
     for chart in charts:
         if 24 - len(chart.clipped) < LEAST_PATCHES:
             raise BadData(
-                f"{chart.name or 'chart'}: {len(chart.clipped)} of 24 patches are clipped; expose less, white to 80 % of "
+                f"{chart.name or 'chart'}: {len(chart.clipped)} of 24 patches are clipped; expose less, white to 80 % "
+                "of "
                 "the range"
             )
         if not (chart.means > 0).all():
@@ -216,7 +217,8 @@ def _unexplained(fit: Sensitivity, charts, names, differences):
 
 def _unknown(fit: Sensitivity, charts, names, is_guessed):
     lines = [
-        "quantum efficiency: a chart tells relative sensitivities; sensor.sensitivity_peak sets the level, which needs a "
+        "quantum efficiency: a chart tells relative sensitivities; sensor.sensitivity_peak sets the level, "
+        "which needs a "
         "measured number of photons",
         f"sensitivity below {NODES[0]:g} and above {NODES[-1]:g} nm: the chart's reflectances end there",
     ]

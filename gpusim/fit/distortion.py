@@ -92,7 +92,8 @@ def fit_distortion(
     spread = float(np.sqrt(np.mean(found.residuals**2) * 2))
     if spread > WORST:
         raise BadData(
-            f"grid: corners miss the model by {spread:.2g} pixels RMS, wanted {WORST:g} or less; use a flat board, hold "
+            f"grid: corners miss the model by {spread:.2g} pixels RMS, wanted {WORST:g} or less; use a flat "
+            "board, hold "
             "it still, and for a fisheye calibrate with cv2.fisheye and give optics.calibration"
         )
     sources = tuple(one.name for one in boards)
@@ -243,7 +244,8 @@ def _unknown(boards, found: Geometry, shape, focal_length):
         )
     elif found.errors[0] > 0.01 * found.matrix[0, 0]:
         lines.append(
-            f"focal length: known to {196 * found.errors[0] / found.matrix[0, 0]:.2g} % only; tilt the board by 20 to 40 "
+            f"focal length: known to {196 * found.errors[0] / found.matrix[0, 0]:.2g} % only; tilt the board by "
+            "20 to 40 "
             "degrees in different directions"
         )
     if (reach := _reach(boards, shape)) < COVERED:

@@ -1,6 +1,7 @@
 """Straight edges of a target, found in a frame."""
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy
@@ -76,7 +77,7 @@ def find_edges(plane: np.ndarray, name: str = "edges") -> list[FoundEdge]:
     segments = []
     for target, contour in enumerate(contours):
         corners = approximate_polygon(contour, STRAIGHT)
-        segments += [(target, one, two) for one, two in zip(corners[:-1], corners[1:], strict=True)]
+        segments += [(target, one, two) for one, two in pairwise(corners)]
     points = np.concatenate(contours) if contours else np.zeros((0, 2))
     found = [
         edge
@@ -85,7 +86,8 @@ def find_edges(plane: np.ndarray, name: str = "edges") -> list[FoundEdge]:
     ]
     if not found:
         raise BadData(
-            f"{name}: no straight edge found; shoot squares or one edge, dark against light, turned by about 5 degrees, "
+            f"{name}: no straight edge found; shoot squares or one edge, dark against light, turned by about 5 "
+            "degrees, "
             f"{SHORTEST:g} pixels or longer and sharp"
         )
     return found

@@ -117,8 +117,8 @@ def read_edge(values: np.ndarray, mask: np.ndarray, edge: FoundEdge) -> EdgeSamp
         lambda p: model(p, x[chosen], y[chosen]) - seen[chosen] / scale,
         start,
         bounds=(
-            start - [0.2, 6, 6, 4, np.inf, np.inf, 1],
-            start + [0.2, 6, 6, 3, np.inf, np.inf, 1],
+            start - np.array([0.2, 6, 6, 4, np.inf, np.inf, 1]),
+            start + np.array([0.2, 6, 6, 3, np.inf, np.inf, 1]),
         ),
         x_scale=[1e-2, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1],
         loss="soft_l1",

@@ -101,7 +101,10 @@ def ramp_part(shots: Sequence[Shot], known: Known) -> Part:
     found = fit_tone(picture, light, source=name)
     if raws or "ramp" in known.options:
         return found
-    line = "light of the ramp: not given, an even one from black to white along the columns is assumed; give a raw of it"
+    line = (
+        "light of the ramp: not given, an even one from black to white along the columns is assumed; "
+        "give a raw of it"
+    )
     return replace(found, unknown=(*found.unknown, line))
 
 
@@ -171,7 +174,8 @@ def _raw_light(frame: RawFrame, picture, known: Known):
     rows, cols = picture.shape
     if abs(rows - values.shape[0]) > 64 or abs(cols - values.shape[1]) > 64:
         raise BadData(
-            f"{frame.name}: {values.shape[1]} x {values.shape[0]} pixels, its picture {cols} x {rows}; give a raw and a "
+            f"{frame.name}: {values.shape[1]} x {values.shape[0]} pixels, its picture {cols} x {rows}; give a raw "
+            "and a "
             "JPEG of full size of the same exposure"
         )
     light = blocks[list(frame.channels).index(main_channel(frame.channels))]

@@ -135,7 +135,7 @@ def fit_sensitivity(
     for number, (model, seen, chosen) in enumerate(zip(models, responses, used, strict=True)):
         expected = (model @ priors[main][0])[chosen]
         scales[number] = seen[chosen, main].sum() / expected.sum()
-    scales = scales / scales[0] if len(scales) > 1 else scales / scales[0]
+    scales = scales / scales[0]
     unit = responses[0][used[0], main].sum() / (models[0] @ priors[main][0])[used[0]].sum()
     relative = 0.01
     for _ in range(ROUNDS):
@@ -145,8 +145,7 @@ def fit_sensitivity(
         scales, slopes = _align(
             predicted, responses, errors, scales, slopes, places, used, relative
         )
-        if len(letters) > 0:
-            relative = _relative_error(predicted, responses, errors, used, len(letters))
+        relative = _relative_error(predicted, responses, errors, used, len(letters))
     curves, covariances, predicted, evidence = _posterior(
         priors, models, responses, errors, scales * unit, slopes, places, used, relative
     )

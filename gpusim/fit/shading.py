@@ -165,7 +165,8 @@ def _surface(plane, block, shape, name):
         raise BadData(f"{name}: no even light, a corner is dark; shoot a flat that fills the frame")
     if np.nanstd(left) > 0.05:
         raise BadData(
-            f"{name}: no even light, blocks differ by {100 * np.nanstd(left):.2g} % from a smooth surface; shoot a white "
+            f"{name}: no even light, blocks differ by {100 * np.nanstd(left):.2g} % from a smooth surface; shoot "
+            "a white "
             "wall out of focus or a diffuser"
         )
     # models that explain the blocks nearly as well differ in the corners
@@ -193,7 +194,7 @@ def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | Non
     shape, sources = every[0].values.shape, tuple(frame.name for frame in every)
     found = measure_shading(every, black=black)
     main = main_channel(tuple(found))
-    settings, is_round, miss = _settings(found[main], shape)
+    settings = _settings(found[main], shape)
     estimates = {}
     for letter, own in found.items():
         for row, col, words in _corners(shape):
@@ -210,7 +211,8 @@ def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | Non
         _plots(found, shape, main),
         _unexplained(found, shape, main),
         (
-            "causes of the fall-off: the lens, the pixels and an uneven surface look alike; turn the camera by half and "
+            "causes of the fall-off: the lens, the pixels and an uneven surface look alike; turn the camera by "
+            "half and "
             "compare, or shoot through a diffuser on the lens",
         ),
     )
@@ -236,7 +238,7 @@ def _corners(shape):
 
 
 def _settings(own: Falloff, shape):
-    """Return settings, whether the fall-off is round, and how far a round one misses [1]."""
+    """Return the settings: a curve if the fall-off is round, else a map."""
     rows, cols = (np.linspace(0, n - 1, 41) for n in shape)
     y, x = np.meshgrid(rows, cols, indexing="ij")
     response = own.at(y, x, shape)
@@ -248,20 +250,16 @@ def _settings(own: Falloff, shape):
     if miss <= ROUND:
         curve = 1 + np.stack([HEIGHTS ** (2 * k) for k in range(1, 6)], axis=1) @ solved
         table = {"heights": HEIGHTS.tolist(), "values": np.round(curve, 5).tolist()}
-        return {"optics": {"relative_illumination": table}}, True, miss
+        return {"optics": {"relative_illumination": table}}
     step = max(shape) / (NODES - 1)
     nodes = [np.linspace(-0.5, n - 0.5, max(3, round(n / step) + 1)) for n in shape]
     table = own.at(nodes[0][:, None], nodes[1][None, :], shape)
     table = np.clip(table / table.max(), 0, 1)
     even = {"heights": [0.0, 1.0], "values": [1.0, 1.0]}
-    return (
-        {
-            "optics": {"relative_illumination": even},
-            "sensor": {"vignetting": np.round(table, 5).tolist()},
-        },
-        False,
-        miss,
-    )
+    return {
+        "optics": {"relative_illumination": even},
+        "sensor": {"vignetting": np.round(table, 5).tolist()},
+    }
 
 
 def _unexplained(found, shape, main):
@@ -273,13 +271,15 @@ def _unexplained(found, shape, main):
         most = float(np.abs(response / leading - 1).max())
         if letter != main and most > COLOURED:
             lines.append(
-                f"shading of {letter}: up to {100 * most:.2g} % from that of {main}, whose map all channels have in the "
+                f"shading of {letter}: up to {100 * most:.2g} % from that of {main}, whose map all channels have in "
+                "the "
                 "camera file"
             )
         lost = float(np.mean(np.isnan(own.left)))
         if lost > 0.01:
             lines.append(
-                f"shading of {letter}: {100 * lost:.2g} % of the blocks are no smooth surface (dust, texture) and not used"
+                f"shading of {letter}: {100 * lost:.2g} % of the blocks are no smooth surface (dust, texture) and not "
+                "used"
             )
     return tuple(lines)
 

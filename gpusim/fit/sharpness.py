@@ -285,7 +285,8 @@ def _gaps(places, shape, pitch, number):
     ]
     if not number:
         lines.append(
-            f"f-number: not in the files; f/{UNKNOWN_F_NUMBER:g} is assumed for the samples of the point spread; give it"
+            f"f-number: not in the files; f/{UNKNOWN_F_NUMBER:g} is assumed for the samples of the point spread; "
+            "give it"
         )
     if pitch is None:
         lines.append("pixel pitch: not given, so no point spread; give it")
@@ -316,7 +317,8 @@ def _unexplained(places):
         return ()
     return (
         f"edges: residuals up to {100 * worst[0]:.2g} % of the step (noise explains {100 * worst[1]:.2g} %) in "
-        f"{worst[2].letter} at row {worst[2].row:.0f}, column {worst[2].col:.0f}: an asymmetric blur, a sharpened raw or "
+        f"{worst[2].letter} at row {worst[2].row:.0f}, column {worst[2].col:.0f}: an asymmetric blur, a "
+        "sharpened raw or "
         "an edge that is not straight",
     )
 

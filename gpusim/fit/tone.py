@@ -74,7 +74,8 @@ def fit_tone(
     unexplained = ()
     if np.abs(left).max() > 0.01 + 4 * np.median(error):
         unexplained = (
-            f"tone: codes miss the curve by up to {100 * np.abs(left).max():.2g} % of white: local tone mapping, a colour "
+            f"tone: codes miss the curve by up to {100 * np.abs(left).max():.2g} % of white: local tone mapping, "
+            "a colour "
             "matrix, or a ramp that is not even",
         )
     unknown = []
@@ -84,7 +85,8 @@ def fit_tone(
         )
     if y.max() < WHITE:
         unknown.append(
-            f"tone above {100 * y.max():.2g} % (encoded): no light there, the curve goes on to white; shoot a ramp that "
+            f"tone above {100 * y.max():.2g} % (encoded): no light there, the curve goes on to white; shoot a "
+            "ramp that "
             "reaches white"
         )
     return Part(

@@ -53,7 +53,11 @@ def edge_frames(seed, count=3):
             otfs.append(otf)
     frames = [
         RawFrame(
-            np.rint(rng.poisson(np.maximum(light, 0) * 12000) * 0.25 + rng.normal(0, 1, light.shape) + 64),
+            np.rint(
+                rng.poisson(np.maximum(light, 0) * 12000) * 0.25
+                + rng.normal(0, 1, light.shape)
+                + 64
+            ),
             ("RG", "GB") if has_mosaic else ("Y",),
             f"edges_{k}.dng",
             black_level=BLACK,
@@ -96,9 +100,7 @@ def judge_sharpness(seed):
         hits.append(one.low <= truth <= one.high)
         middle = [(at // edges.TILE + 0.5) * edges.TILE - 0.5 for at in (row, col)]
         if row // edges.TILE == 1 and col // edges.TILE == 1:  # a node of the grid
-            again = simulated_mtf50(
-                spread, pitch, *middle, frames[0].values.shape, wave, is_across
-            )
+            again = simulated_mtf50(spread, pitch, *middle, frames[0].values.shape, wave, is_across)
             simulated.append(again / truth - 1)
     return np.array(errors), np.array(hits), np.array(simulated)
 
@@ -129,10 +131,17 @@ def judge_distortion(seed):
     )
     edge = (np.hypot(cols, rows) / 2 / focal) ** 2
     truth = np.array(
-        [rng.uniform(-0.12, 0.08) / edge, rng.uniform(-0.02, 0.02) / edge**2, *rng.normal(0, 4e-4, 2), 0]
+        [
+            rng.uniform(-0.12, 0.08) / edge,
+            rng.uniform(-0.02, 0.02) / edge**2,
+            *rng.normal(0, 4e-4, 2),
+            0,
+        ]
     )
     excess = {"R": rng.normal(0, 8e-4), "G": 0.0, "B": rng.normal(0, 8e-4)}
-    frames = [board_frame(rng, (cols, rows), matrix, truth, excess, f"grid_{k}.dng") for k in range(10)]
+    frames = [
+        board_frame(rng, (cols, rows), matrix, truth, excess, f"grid_{k}.dng") for k in range(10)
+    ]
     part = fit_distortion(frames)
     found = part.settings["optics"]["calibration"]
     own = [found[name] for name in ("k1", "k2", "p1", "p2", "k3")]
@@ -184,7 +193,8 @@ def test_distortion_of_random_lenses():
     rms = np.array([np.sqrt(np.mean(one[0] ** 2)) for one in found])
     lateral = np.concatenate([one[2] for one in found])
     print(
-        f"distortion: largest displacement in the frame {np.median(most):.3f} (median), {most.max():.3f} pixel (max), RMS "
+        f"distortion: largest displacement in the frame {np.median(most):.3f} (median), {most.max():.3f} "
+        "pixel (max), RMS "
         f"up to {rms.max():.3f}; lateral colour at the corner {lateral.max():.3f} pixel; intervals hold "
         f"{share([one[1] for one in found]):.3f}"
     )
@@ -253,7 +263,9 @@ def color_differences(camera, fitted, light):
 
     surfaces = other_surfaces()
     eye = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"]
-    curves = np.array([np.interp(charts.WAVES, eye.wavelengths, eye.values[:, k]) for k in range(3)])
+    curves = np.array(
+        [np.interp(charts.WAVES, eye.wavelengths, eye.values[:, k]) for k in range(3)]
+    )
     weights = curves * charts.photons(light) / charts.WAVES
     wanted, white = surfaces @ weights.T / weights[1].sum(), weights.sum(1) / weights[1].sum()
     seen, again = (charts.responses(one, light, surfaces) for one in (camera, fitted))
@@ -322,5 +334,7 @@ def judge_tone(seed):
 def test_tone_of_random_cameras():
     found = [judge_tone(seed) for seed in SEEDS]
     most = np.array([one[0] for one in found])
-    print(f"tone: largest error {most.max():.2f} codes; intervals hold {share([one[1] for one in found]):.3f}")
+    print(
+        f"tone: largest error {most.max():.2f} codes; intervals hold {share([one[1] for one in found]):.3f}"
+    )
     assert most.max() < 1

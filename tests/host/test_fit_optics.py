@@ -1,0 +1,113 @@
+"""Fits of optics and colour on small frames: what they find, and what they refuse in one line."""
+
+import edge_targets as edges
+import flat_targets as flats
+import numpy as np
+import pytest
+
+from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.fit.color import fit_color
+from gpusim.fit.distortion import fit_distortion
+from gpusim.fit.shading import fit_shading
+from gpusim.fit.sharpness import fit_sharpness
+from gpusim.fit.tone import fit_tone, ramp_light
+from gpusim.io.raw.raw_frame import RawFrame
+
+BLACK = np.array([[64.0]])
+
+
+def grey(values, cfa=("Y",), name="a.dng", white=4095):
+    return RawFrame(np.asarray(values), cfa, name, black_level=BLACK, white_level=white)
+
+
+def edge_frame(level=2000, angle=6.0, noise=4.0):
+    """A dark square behind a Gaussian of 0.7 pixel, analytic but for the pixel's quadrature."""
+    at = np.arange(120) - 59.5
+    turn, soft = np.radians(angle), 0.7 * np.sqrt(2)
+    seen = 0
+    for dy in (-0.4, -0.2, 0, 0.2, 0.4):
+        for dx in (-0.4, -0.2, 0, 0.2, 0.4):
+            x, y = at[None, :] + dx, at[:, None] + dy
+            u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
+            parts = [0.5 * (edges.erf((w + 34) / soft) - edges.erf((w - 34) / soft)) for w in (u, v)]
+            seen = seen + parts[0] * parts[1] / 25
+    rng = np.random.default_rng(2)
+    return grey(rng.normal((0.8 - 0.6 * seen) * level + 64, noise))
+
+
+def test_edges_give_their_mtf50():
+    part = fit_sharpness(edge_frame(), pitch=3e-6, f_number=2.0)
+    f = np.linspace(0, 1, 4001)
+    response = np.exp(-2 * np.pi**2 * 0.49 * f**2) * np.sinc(f)
+    truth = np.interp(-0.5, -response, f)
+    for one in part.estimates.values():
+        assert one.value == pytest.approx(truth, rel=0.02)
+        assert one.low < truth < one.high
+    assert part.settings["optics"]["model"] == "measured"
+
+
+@pytest.mark.parametrize(
+    ("frame", "words"),
+    [
+        (lambda: edge_frame(angle=0.2), "too straight.*turn"),
+        (lambda: edge_frame(angle=44), "too steep.*turn"),
+        (lambda: edge_frame(level=6000), "clipped.*expose less"),
+        (lambda: grey(np.full((90, 90), 500.0)), "no straight edge"),
+        (lambda: grey(np.zeros((9, 9, 3))), "save raw files, not JPEG"),
+    ],
+)
+def test_edges_that_cannot_be_measured(frame, words):
+    with pytest.raises(BadData, match=words):
+        fit_sharpness(frame(), pitch=3e-6)
+
+
+def test_pitch_is_checked():
+    with pytest.raises(OutOfRange, match="pitch"):
+        fit_sharpness(edge_frame(), pitch=3.0)
+
+
+def test_flats_give_their_falloff():
+    rng = np.random.default_rng(3)
+    truth = flats.falloff(rng, (120, 160))
+    frames = [grey(flats.expose_flat(rng, truth), name=f"{k}") for k in range(3)]
+    curve = fit_shading(frames).settings["optics"]["relative_illumination"]
+    assert curve["values"][-1] == pytest.approx(truth[0, 0], rel=0.01)
+
+
+def test_flats_that_are_none():
+    rng = np.random.default_rng(4)
+    with pytest.raises(BadData, match="clipped"):
+        fit_shading(grey(np.full((80, 80), 4095)))
+    with pytest.raises(BadData, match="no even light"):
+        fit_shading(grey(rng.integers(0, 2, (8, 8)).repeat(10, 0).repeat(10, 1) * 1000 + 200))
+
+
+@pytest.mark.parametrize("fit", [fit_color, fit_distortion])
+def test_targets_that_are_not_there(fit):
+    rng = np.random.default_rng(5)
+    frame = grey(rng.normal(1000, 5, (96, 96)), ("RG", "GB"))
+    with pytest.raises(BadData, match="found.*(shoot|let it fill)"):
+        fit(frame)
+
+
+def test_frames_are_checked():
+    with pytest.raises(BadData, match="wanted a RawFrame"):
+        fit_color("a.dng")
+    with pytest.raises(BadData, match="different size or mosaic"):
+        fit_shading([grey(np.ones((8, 8))), grey(np.ones((8, 9)))])
+
+
+def test_ramps_give_their_tone():
+    rng = np.random.default_rng(6)
+    curve, light = flats.tone(rng), ramp_light((8, 600))
+    part = fit_tone(np.rint(255 * curve(flats.encode(light))), light)
+    nodes, values = part.settings["processor"]["tone"]
+    assert values == pytest.approx(curve(np.array(nodes)), abs=0.01)
+
+
+def test_ramps_that_are_none():
+    light = ramp_light((4, 300))
+    with pytest.raises(BadData, match="codes fall"):
+        fit_tone(255 * np.sin(4 * light) ** 2, light)
+    with pytest.raises(BadData, match="one shape"):
+        fit_tone(np.zeros(3), light)
