@@ -87,7 +87,7 @@ def fit_color(
     estimates = _peaks(fit, sources)
     for one in parts:
         estimates |= {
-            key: Estimate(*value, "", sources, "XYZ of surfaces in D65")
+            key: Estimate(value[0], value[1], value[2], "", sources, "XYZ of surfaces in D65")
             for key, value in one.items()
         }
     table = {"wavelengths_nm": NODES.tolist()} | {

@@ -18,6 +18,10 @@ ENOUGH_VIEWS = 3
 ASSUMED_FOCAL = 1.2  # times the longer side, if neither views nor files tell it
 COVERED = 0.85  # of the way to the corner that the board should reach
 WORST = 1.0  # [pixel] RMS residual of a board that is no plane, or a lens beyond the model
+ODD, LEAST_ODD = (
+    3.0,
+    0.3,
+)  # times the median residual of views, and [pixel], from which one is not used
 SYSTEMATIC = 4.0  # standard errors of the mean residual of a cell that are no chance
 CELLS = 6  # along a side of the frame
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
@@ -89,6 +93,15 @@ def fit_distortion(
     focal_length = focal_length or every[0].focal_length
     nominal = focal_length / pitch if focal_length and pitch else ASSUMED_FOCAL * max(rows, cols)
     found = _calibrate(boards, (cols, rows), nominal)
+    kept = _agreeing(boards, found)
+    if len(kept) < len(boards):
+        faults += [
+            f"{one.name}: corners do not fit the other views, not used"
+            for one in boards
+            if one not in kept
+        ]
+        boards = kept
+        found = _calibrate(boards, (cols, rows), nominal)
     spread = float(np.sqrt(np.mean(found.residuals**2) * 2))
     if spread > WORST:
         raise BadData(
@@ -147,6 +160,19 @@ def _calibrate(boards: list[Board], size, nominal) -> Geometry:
             best = bic, geometry
     assert best is not None
     return best[1]
+
+
+def _agreeing(boards: list[Board], found: Geometry) -> list[Board]:
+    """Return the views whose corners miss the model by no more than others' do; all if only a few agree."""
+    ends = np.cumsum([len(one.places) for one in boards])
+    parts = np.split(found.residuals, ends[:-1])
+    miss = np.array([np.sqrt(np.mean(part**2)) for part in parts])
+    kept = [
+        one
+        for one, own in zip(boards, miss, strict=True)
+        if own < max(ODD * np.median(miss), LEAST_ODD)
+    ]
+    return kept if len(kept) > len(boards) / 2 else boards
 
 
 def _estimates(found: Geometry, sources):
@@ -213,8 +239,7 @@ def _settings(found: Geometry, size, lateral, main):
         "cx": float(found.matrix[0, 2]),
         "cy": float(found.matrix[1, 2]),
     } | dict(zip(COEFFICIENTS, map(float, found.coefficients), strict=True))
-    matrix = [calibration[key] for key in ("width", "height", "fx", "fy", "cx", "cy")]
-    Calibration(*matrix, tuple(found.coefficients.tolist()))  # its own checks
+    Calibration.of(found.matrix, found.coefficients, size)  # its own checks
     optics: dict = {"calibration": calibration}
     excess = {WAVELENGTHS.get(main, 550.0): 0.0}
     for key, estimate in lateral.items():

@@ -1,6 +1,7 @@
 """Light values of raw frames: black level off, channels apart, clipped pixels known."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -169,7 +170,7 @@ def channel_blocks(
     return np.stack(means), block
 
 
-def field_place(row: float, col: float, shape: tuple[int, int]) -> tuple[float, float]:
+def field_place(row: Any, col: Any, shape: tuple[int, int]) -> tuple[Any, Any]:
     """Return the field point (y, x) of a pixel; 1 is the frame's corner."""
     corner = np.hypot(*shape) / 2
     return (row - (shape[0] - 1) / 2) / corner, (col - (shape[1] - 1) / 2) / corner

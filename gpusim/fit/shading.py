@@ -69,7 +69,8 @@ class Falloff:
         """Return the response at rows and columns [pixel] that broadcast, 1 in the frame's middle."""
         y, x = np.broadcast_arrays(*(np.asarray(at, np.float64) for at in (rows, cols)))
         here = _basis(y.ravel(), x.ravel(), shape, self.order, self.power) @ self.coefficients
-        middle = _basis(*_middle(shape), shape, self.order, self.power) @ self.coefficients
+        row, col = _middle(shape)
+        middle = _basis(row, col, shape, self.order, self.power) @ self.coefficients
         return np.asarray(here / middle).reshape(y.shape)
 
 
@@ -253,12 +254,12 @@ def _settings(own: Falloff, shape):
         return {"optics": {"relative_illumination": table}}
     step = max(shape) / (NODES - 1)
     nodes = [np.linspace(-0.5, n - 0.5, max(3, round(n / step) + 1)) for n in shape]
-    table = own.at(nodes[0][:, None], nodes[1][None, :], shape)
-    table = np.clip(table / table.max(), 0, 1)
+    response = own.at(nodes[0][:, None], nodes[1][None, :], shape)
+    response = np.clip(response / response.max(), 0, 1)
     even = {"heights": [0.0, 1.0], "values": [1.0, 1.0]}
     return {
         "optics": {"relative_illumination": even},
-        "sensor": {"vignetting": np.round(table, 5).tolist()},
+        "sensor": {"vignetting": np.round(response, 5).tolist()},
     }
 
 

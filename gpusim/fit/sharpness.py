@@ -173,7 +173,9 @@ def _places(target: _Target, scale, aperture):
             else None
             for is_upright in (True, False)
         ]
-        found.append(Place(target.row, target.col, letter, *lines, tuple(target.sources)))
+        found.append(
+            Place(target.row, target.col, letter, lines[0], lines[1], tuple(target.sources))
+        )
     return found
 
 

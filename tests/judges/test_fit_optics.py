@@ -132,8 +132,8 @@ def judge_distortion(seed):
     edge = (np.hypot(cols, rows) / 2 / focal) ** 2
     truth = np.array(
         [
-            rng.uniform(-0.12, 0.08) / edge,
-            rng.uniform(-0.02, 0.02) / edge**2,
+            rng.uniform(-0.08, 0.06) / edge,
+            rng.uniform(-0.015, 0.015) / edge**2,
             *rng.normal(0, 4e-4, 2),
             0,
         ]
