@@ -44,11 +44,11 @@ def edges_part(shots: Sequence[Shot], known: Known) -> Part:
         black=_black(frames, known),
         pitch=pitch,
         f_number=number or known.base.optics.f_number,
-        aperture=tuple(side / sensor.pixel_pitch for side in sensor.aperture),
+        aperture=(sensor.aperture[0] / sensor.pixel_pitch, sensor.aperture[1] / sensor.pixel_pitch),
         falloff=known.shared.get("falloff"),
         lateral_color=known.shared.get("lateral_color"),
     )
-    settings = {**found.settings, "optics": {**found.settings["optics"]}}
+    settings = {key: dict(values) for key, values in found.settings.items()}
     unknown = list(found.unknown)
     if number:
         settings["optics"]["f_number"] = float(number)

@@ -71,7 +71,7 @@ def fit_tone(
     }
     tone = [np.round(nodes, 6).tolist(), np.round(values, 6).tolist()]
     left = y - scipy.interpolate.PchipInterpolator(nodes, values)(np.clip(x, 0, nodes[-1]))
-    unexplained = ()
+    unexplained: tuple[str, ...] = ()
     if np.abs(left).max() > 0.01 + 4 * np.median(error):
         unexplained = (
             f"tone: codes miss the curve by up to {100 * np.abs(left).max():.2g} % of white: local tone mapping, "

@@ -29,7 +29,9 @@ def edge_frame(level=2000, angle=6.0, noise=4.0):
         for dx in (-0.4, -0.2, 0, 0.2, 0.4):
             x, y = at[None, :] + dx, at[:, None] + dy
             u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
-            parts = [0.5 * (edges.erf((w + 34) / soft) - edges.erf((w - 34) / soft)) for w in (u, v)]
+            parts = [
+                0.5 * (edges.erf((w + 34) / soft) - edges.erf((w - 34) / soft)) for w in (u, v)
+            ]
             seen = seen + parts[0] * parts[1] / 25
     rng = np.random.default_rng(2)
     return grey(rng.normal((0.8 - 0.6 * seen) * level + 64, noise))
@@ -86,7 +88,7 @@ def test_flats_that_are_none():
 def test_targets_that_are_not_there(fit):
     rng = np.random.default_rng(5)
     frame = grey(rng.normal(1000, 5, (96, 96)), ("RG", "GB"))
-    with pytest.raises(BadData, match="found.*(shoot|let it fill)"):
+    with pytest.raises(BadData, match=r"found.*(shoot|let it fill)"):
         fit(frame)
 
 
