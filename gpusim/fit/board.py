@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, Missing
 from gpusim.domain.short_repr import short_repr
+from gpusim.fit.corner_fit import fit_corners
 from gpusim.fit.planes import even_plane, letter_masks, light_values, main_channel
 from gpusim.io.raw.raw_frame import RawFrame
 
@@ -16,7 +17,8 @@ SADDLE = 2.0  # [pixel] Gaussian of the search for corners
 SADDLE_LEAST = 0.2  # of the strongest corners' strength
 SEEDS = 8  # corners from which boards are grown
 SOFT = 0.6  # [pixel] Gaussian against noise before detection
-WINDOW = 0.35  # of the distance of corners, around each of them
+WINDOW = 0.4  # of the distance of corners, around each of them
+WIDEST = 14.0  # [pixel]
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,13 +83,31 @@ def find_board(frame: RawFrame, black: ArrayLike | None = None) -> Board:
     rows, cols = values.shape
     inside = ((corners >= 2) & (corners <= [cols - 3, rows - 3])).all(axis=1)
     places, corners = places[inside], corners[inside]
-    step = _step(places, corners)
-    half = int(np.clip(WINDOW * step, 3, 12))
-    refined = {
-        letter: _refine(cv2, _eight_bits(plane), corners, half) for letter, plane in planes.items()
-    }
-    offsets = {letter: found - refined[main] for letter, found in refined.items() if letter != main}
-    return Board(frame.name, places, refined[main], offsets)
+    ways = _ways(places, corners)
+    half = float(np.clip(WINDOW * np.median(np.hypot(*ways.T)), 3, WIDEST))
+    masks = letter_masks(frame)
+    found = {letter: fit_corners(even, masks[letter], corners, ways, half) for letter in planes}
+    is_found = np.isfinite(np.concatenate(list(found.values()), axis=1)).all(axis=1)
+    if is_found.sum() < LEAST:
+        raise BadData(f"{frame.name or 'grid'}: corners are not sharp; focus, and give more light")
+    fine = {letter: corners[is_found] for letter, corners in found.items()}
+    offsets = {letter: own - fine[main] for letter, own in fine.items() if letter != main}
+    return Board(frame.name, places[is_found], fine[main], offsets)
+
+
+def _ways(places, corners):
+    """Return the steps to the next corner along the board's two axes, (N, 2, 2): axis, then x and y."""
+    known = {tuple(place): corner for place, corner in zip(places, corners, strict=True)}
+    ways = np.full((len(places), 2, 2), np.nan)
+    for number, (x, y) in enumerate(places):
+        for axis, (dx, dy) in enumerate(((1, 0), (0, 1))):
+            ends = known.get((x + dx, y + dy)), known.get((x - dx, y - dy))
+            before = corners[number] if ends[1] is None else ends[1]
+            after = corners[number] if ends[0] is None else ends[0]
+            count = sum(end is not None for end in ends)
+            if count:
+                ways[number, axis] = (after - before) / count
+    return np.where(np.isnan(ways), np.nanmedian(ways, axis=0), ways)
 
 
 def _filled(even, mask):
@@ -109,7 +129,7 @@ def _detect(cv2, picture, name):
     if len(saddles) >= LEAST:
         order = np.argsort(np.hypot(*(saddles - np.median(saddles, axis=0)).T))
         for number in order[:: max(1, len(order) // SEEDS)][: 2 * SEEDS]:
-            seed = _seed(saddles, number)
+            seed = _seed(cv2, picture, saddles, number)
             found = _grow(cv2, picture, seed) if seed else {}
             best = max(best, found, key=len)
             if len(best) > 0.8 * len(saddles):
@@ -136,7 +156,7 @@ def _saddles(picture):
     return np.stack([cols, rows], axis=1).astype(np.float64)
 
 
-def _seed(saddles, number):
+def _seed(cv2, picture, saddles, number):
     """Return three corners of a square as {place: corner}, or None."""
     own = saddles[number]
     away = saddles - own
@@ -148,20 +168,24 @@ def _seed(saddles, number):
         sine = turned / (distance[order[0]] * distance[other])
         if abs(sine) > 0.75 and distance[other] < 1.8 * distance[order[0]]:
             steps = (first, away[other]) if turned > 0 else (away[other], first)
-            return {(0, 0): own, (1, 0): own + steps[0], (0, 1): own + steps[1]}
+            known = {(0, 0): own, (1, 0): own + steps[0], (0, 1): own + steps[1]}
+            contrast = _contrast(picture)
+            for place, guess in known.items():
+                corner = _corner_near(cv2, picture, guess, steps[place[1]], contrast)
+                if corner is None:
+                    return None
+                known[place] = corner
+            return known
     return None
 
 
-def _step(places, corners):
-    """Return the median distance of neighbours [pixel]."""
-    order = np.lexsort(places.T)
-    apart = np.abs(np.diff(places[order], axis=0)).sum(1) == 1
-    return float(np.median(np.hypot(*np.diff(corners[order], axis=0)[apart].T)))
+def _contrast(picture):
+    return float(np.ptp(np.percentile(picture, (2, 98))))
 
 
 def _grow(cv2, picture, known):
     """Return more corners of the board: neighbours of known ones, as long as they look like corners."""
-    contrast = float(np.ptp(np.percentile(picture, (2, 98))))
+    contrast = _contrast(picture)
     known = dict(known)
     fresh = list(known)
     while fresh:

@@ -1,55 +1,23 @@
 """Distortion and lateral colour of a lens from views of a checkerboard."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.domain.calibration import Calibration
 from gpusim.domain.errors import BadData
-from gpusim.domain.short_repr import short_repr
-from gpusim.fit.board import Board, find_board, require_cv2
+from gpusim.fit.board import Board, find_board
+from gpusim.fit.bundle import COEFFICIENTS, ENOUGH_VIEWS, Geometry, agreeing, calibrate
 from gpusim.fit.estimate import Estimate, Part, Plot
 from gpusim.fit.planes import WAVELENGTHS, checked_frames, main_channel
 from gpusim.io.raw.raw_frame import RawFrame
 
-ENOUGH_VIEWS = 3
 ASSUMED_FOCAL = 1.2  # times the longer side, if neither views nor files tell it
 COVERED = 0.85  # of the way to the corner that the board should reach
 WORST = 1.0  # [pixel] RMS residual of a board that is no plane, or a lens beyond the model
-ODD, LEAST_ODD = (
-    3.0,
-    0.3,
-)  # times the median residual of views, and [pixel], from which one is not used
 SYSTEMATIC = 4.0  # standard errors of the mean residual of a cell that are no chance
 CELLS = 6  # along a side of the frame
-COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
-# freed one after the other; each must pay for itself
-ORDERS = (("k1",), ("k1", "k2"), ("k1", "k2", "p1", "p2"), ("k1", "k2", "p1", "p2", "k3"))
-
-
-@dataclass(frozen=True, eq=False)
-class Geometry:
-    """A calibration with its uncertainty.
-
-    Args:
-        matrix: Camera matrix, (3, 3).
-        coefficients: k1, k2, p1, p2, k3.
-        errors: Standard errors of fx, fy, cx, cy and the coefficients, (9,); 0: not fitted.
-        residuals: Corners less the model [pixel], (N, 2).
-        free: Names of the coefficients that were fitted.
-        has_focal: Whether focal lengths and principal point were fitted.
-    """
-
-    matrix: np.ndarray
-    coefficients: np.ndarray
-    errors: np.ndarray
-    residuals: np.ndarray
-    free: tuple[str, ...]
-    has_focal: bool
-
-    __repr__ = short_repr
 
 
 def fit_distortion(
@@ -61,8 +29,7 @@ def fit_distortion(
 ) -> Part:
     """Fit camera matrix, distortion and lateral colour to views of a checkerboard.
 
-    The model is OpenCV's, k1, k2, p1, p2, k3. Coefficients are added one after the other while the Bayesian
-    information criterion falls.
+    The model is OpenCV's, k1, k2, p1, p2, k3, see `gpusim.fit.bundle.calibrate`.
 
     Args:
         frames: Views of one board.
@@ -92,17 +59,15 @@ def fit_distortion(
     rows, cols = every[0].values.shape
     focal_length = focal_length or every[0].focal_length
     nominal = focal_length / pitch if focal_length and pitch else ASSUMED_FOCAL * max(rows, cols)
-    found = _calibrate(boards, (cols, rows), nominal)
-    kept = _agreeing(boards, found)
-    if len(kept) < len(boards):
-        faults += [
-            f"{one.name}: corners do not fit the other views, not used"
-            for one in boards
-            if one not in kept
-        ]
-        boards = kept
-        found = _calibrate(boards, (cols, rows), nominal)
-    spread = float(np.sqrt(np.mean(found.residuals**2) * 2))
+    kept = agreeing(boards, (cols, rows), nominal)
+    faults += [
+        f"{one.name}: corners do not fit the other views, not used"
+        for one in boards
+        if one not in kept
+    ]
+    boards = kept
+    found = calibrate(boards, (cols, rows), nominal)
+    spread = float(np.sqrt(np.mean(np.concatenate(found.residuals) ** 2) * 2))
     if spread > WORST:
         raise BadData(
             f"grid: corners miss the model by {spread:.2g} pixels RMS, wanted {WORST:g} or less; use a flat "
@@ -121,60 +86,6 @@ def fit_distortion(
     )
 
 
-def _calibrate(boards: list[Board], size, nominal) -> Geometry:
-    """Return the geometry with as many coefficients as the corners pay for."""
-    cv2 = require_cv2()
-    points = [
-        np.column_stack([one.places, np.zeros(len(one.places))]).astype(np.float32)
-        for one in boards
-    ]
-    corners = [one.corners.astype(np.float32).reshape(-1, 1, 2) for one in boards]
-    middle = (size[0] - 1) / 2, (size[1] - 1) / 2
-    start = np.array([[nominal, 0, middle[0]], [0, nominal, middle[1]], [0, 0, 1]])
-    has_focal = len(boards) >= ENOUGH_VIEWS
-    best = None
-    for free in ORDERS:
-        flags = cv2.CALIB_USE_INTRINSIC_GUESS
-        for name, flag in (("k2", cv2.CALIB_FIX_K2), ("k3", cv2.CALIB_FIX_K3)):
-            flags |= 0 if name in free else flag
-        flags |= 0 if "p1" in free else cv2.CALIB_ZERO_TANGENT_DIST
-        if not has_focal:
-            flags |= cv2.CALIB_FIX_FOCAL_LENGTH | cv2.CALIB_FIX_PRINCIPAL_POINT
-        end = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-10)
-        _, matrix, values, turns, shifts, errors, _, _ = cv2.calibrateCameraExtended(
-            points, corners, size, start.copy(), np.zeros(5), flags=flags, criteria=end
-        )
-        residuals = np.concatenate(
-            [
-                seen.reshape(-1, 2)
-                - cv2.projectPoints(one, turn, shift, matrix, values)[0].reshape(-1, 2)
-                for one, seen, turn, shift in zip(points, corners, turns, shifts, strict=True)
-            ]
-        )
-        count = residuals.size
-        bic = count * np.log(np.mean(residuals**2)) + len(free) * np.log(count)
-        geometry = Geometry(
-            matrix, values.ravel()[:5], errors.ravel()[:9], residuals, free, has_focal
-        )
-        if best is None or bic < best[0]:
-            best = bic, geometry
-    assert best is not None
-    return best[1]
-
-
-def _agreeing(boards: list[Board], found: Geometry) -> list[Board]:
-    """Return the views whose corners miss the model by no more than others' do; all if only a few agree."""
-    ends = np.cumsum([len(one.places) for one in boards])
-    parts = np.split(found.residuals, ends[:-1])
-    miss = np.array([np.sqrt(np.mean(part**2)) for part in parts])
-    kept = [
-        one
-        for one, own in zip(boards, miss, strict=True)
-        if own < max(ODD * np.median(miss), LEAST_ODD)
-    ]
-    return kept if len(kept) > len(boards) / 2 else boards
-
-
 def _estimates(found: Geometry, sources):
     values = [found.matrix[0, 0], found.matrix[1, 1], found.matrix[0, 2], found.matrix[1, 2]]
     units = ["pixel"] * 4 + [""] * 5
@@ -183,11 +94,9 @@ def _estimates(found: Geometry, sources):
     for name, value, error, unit in zip(
         names, [*values, *found.coefficients], found.errors, units, strict=True
     ):
-        if name in COEFFICIENTS and name not in found.free:
-            continue
         is_assumed = name not in COEFFICIENTS and not found.has_focal
         note = "assumed, too few views" if is_assumed else ""
-        reach = np.nan if is_assumed else 1.96 * float(error)
+        reach = np.nan if is_assumed else float(error)
         estimates[f"optics.calibration.{name}"] = Estimate(
             float(value), float(value - reach), float(value + reach), unit, sources, note
         )
@@ -267,9 +176,9 @@ def _unknown(boards, found: Geometry, shape, focal_length):
             f"focal length and principal point: {len(boards)} view(s), so {source} and the frame's middle are assumed; "
             f"shoot {ENOUGH_VIEWS} views or more, better ten, the board tilted by 20 to 40 degrees"
         )
-    elif found.errors[0] > 0.01 * found.matrix[0, 0]:
+    elif found.errors[0] > 0.02 * found.matrix[0, 0]:
         lines.append(
-            f"focal length: known to {196 * found.errors[0] / found.matrix[0, 0]:.2g} % only; tilt the board by "
+            f"focal length: known to {100 * found.errors[0] / found.matrix[0, 0]:.2g} % only; tilt the board by "
             "20 to 40 "
             "degrees in different directions"
         )
@@ -292,9 +201,10 @@ def _unexplained(boards: list[Board], found: Geometry, shape, spread):
     cell = np.clip((corners / np.array(shape[::-1]) * CELLS).astype(int), 0, CELLS - 1)
     number = cell[:, 1] * CELLS + cell[:, 0]
     worst, where = 0.0, 0
-    noise = np.std(found.residuals)
+    residuals = np.concatenate(found.residuals)
+    noise = np.std(residuals)
     for one in np.unique(number):
-        own = found.residuals[number == one]
+        own = residuals[number == one]
         if len(own) < 8:
             continue
         mean = float(np.hypot(*own.mean(0)))
@@ -313,14 +223,15 @@ def _plots(boards: list[Board], found: Geometry, size):
     def draw_residuals(figure):
         axes = figure.subplots()
         corners = np.concatenate([one.corners for one in boards])
+        residuals = np.concatenate(found.residuals)
         arrows = axes.quiver(
             corners[:, 0],
             corners[:, 1],
-            found.residuals[:, 0],
-            -found.residuals[:, 1],
+            residuals[:, 0],
+            -residuals[:, 1],
             width=2e-3,
         )
-        unit = max(np.percentile(np.hypot(*found.residuals.T), 90), 1e-6)
+        unit = max(np.percentile(np.hypot(*residuals.T), 90), 1e-6)
         axes.quiverkey(arrows, 0.9, 1.03, unit, f"{unit:.2g} pixel", labelpos="E")
         axes.set(
             xlim=(0, size[0]), ylim=(size[1], 0), aspect="equal", xlabel="column", ylabel="row"
