@@ -54,9 +54,16 @@ def view(size, matrix, coefficients, turn, shift, squares, excess=0.0, fine=3, b
     a, b, c = np.tensordot(plane, np.stack([u, v, np.ones_like(u)]), 1)
     x, y = a / c, b / c
     across, down = squares
-    inside = (x >= 0) & (x < across) & (y >= 0) & (y < down)
-    dark = inside & ((np.floor(x) + np.floor(y)) % 2 == 0)
-    picture = np.where(dark, 0.05, 0.85)
+    # each line's distance over the size of a sample: edges are not moved to whole samples
+    covers = []
+    for at, count in ((x, across), (y, down)):
+        size = np.hypot(*np.gradient(at))
+        near = np.rint(at)
+        sign = np.where(near % 2 == 0, 1, -1) * np.clip(2 * (at - near) / size, -1, 1)
+        inside = np.clip(0.5 + at / size, 0, 1) * np.clip(0.5 + (count - at) / size, 0, 1)
+        covers.append((sign, inside))
+    (one, in_x), (two, in_y) = covers
+    picture = 0.85 - 0.8 * in_x * in_y * (1 + one * two) / 2
     picture = gaussian_filter(picture, blur * fine)
     return picture.reshape(rows, fine, cols, fine).mean((1, 3))
 

@@ -38,7 +38,8 @@ class _Function(ModuleType):
 
         Args:
             files: Raw files or folders. A folder's name (darks, flats, chart, edges, grid, shading,
-                ramp) says what its frames show; of other files the content does: dark, or even light.
+                ramp) or its own name (grid_03.dng) says what its frames show; of other
+                files the content does: dark, or even light.
             darks: Frames without light, at one or more exposure times and temperatures.
             flats: Pairs, or more frames, of even light without a lens, from dark to beyond saturation.
             chart: Frames of a ColorChecker.

@@ -14,7 +14,8 @@ from gpusim.io.raw.raw_frame import RawFrame
 
 LEAST = 12  # corners of a board
 SADDLE = 2.0  # [pixel] Gaussian of the search for corners
-SADDLE_LEAST = 0.2  # of the strongest corners' strength
+SADDLE_LEAST = 0.35  # of the strongest corners' strength; a single square's corner has 0.25
+SAME = 4.5  # [pixel] within which saddles are one
 SEEDS = 8  # corners from which boards are grown
 SOFT = 0.6  # [pixel] Gaussian against noise before detection
 WINDOW = 0.4  # of the distance of corners, around each of them
@@ -151,7 +152,8 @@ def _saddles(picture):
     )
     strength = xy**2 - xx * yy
     top = strength == scipy.ndimage.maximum_filter(strength, 9)
-    level = SADDLE_LEAST * np.percentile(strength[top], 99.8) if top.any() else 0.0
+    found = np.sort(strength[top])
+    level = SADDLE_LEAST * found[-LEAST] if len(found) >= LEAST else 0.0
     rows, cols = np.nonzero(top & (strength > max(level, 1.0)))
     return np.stack([cols, rows], axis=1).astype(np.float64)
 
@@ -161,7 +163,7 @@ def _seed(cv2, picture, saddles, number):
     own = saddles[number]
     away = saddles - own
     distance = np.hypot(*away.T)
-    order = np.argsort(distance)[1:9]
+    order = np.argsort(np.where(distance < SAME, np.inf, distance))[:8]
     first = away[order[0]]
     for other in order[1:]:
         turned = first[0] * away[other][1] - first[1] * away[other][0]

@@ -8,7 +8,14 @@ from numpy.typing import ArrayLike
 from gpusim.domain.calibration import Calibration
 from gpusim.domain.errors import BadData
 from gpusim.fit.board import Board, find_board
-from gpusim.fit.bundle import COEFFICIENTS, ENOUGH_VIEWS, Geometry, agreeing, calibrate
+from gpusim.fit.bundle import (
+    COEFFICIENTS,
+    ENOUGH_VIEWS,
+    Geometry,
+    agreeing,
+    calibrate,
+    jackknife_reach,
+)
 from gpusim.fit.estimate import Estimate, Part, Plot
 from gpusim.fit.planes import WAVELENGTHS, checked_frames, main_channel
 from gpusim.io.raw.raw_frame import RawFrame
@@ -106,37 +113,46 @@ def _estimates(found: Geometry, sources):
 def _lateral_color(boards: list[Board], found: Geometry, main, sources):
     """Return the excess of image height of each other channel, least squares over all corners."""
     estimates = {}
-    middle = found.matrix[:2, 2]
-    corners = np.concatenate([one.corners for one in boards]) - middle
     for letter in boards[0].offsets:
-        offsets = np.concatenate([one.offsets[letter] for one in boards])
-        # offset = excess * position + a shift of the whole channel
-        ones = np.ones(len(corners))
-        matrix = np.concatenate(
-            [
-                np.column_stack([corners[:, 0], ones, 0 * ones]),
-                np.column_stack([corners[:, 1], 0 * ones, ones]),
-            ]
-        )
-        seen = np.concatenate([offsets[:, 0], offsets[:, 1]])
-        weight = np.ones(len(seen))
-        for _ in range(5):  # Huber's weights against corners that failed
-            root = np.sqrt(weight)
-            solved = np.linalg.lstsq(matrix * root[:, None], seen * root, rcond=None)[0]
-            left = seen - matrix @ solved
-            scale = 1.48 * np.median(np.abs(left)) + 1e-9
-            weight = np.minimum(1, 1.5 * scale / np.maximum(np.abs(left), 1e-12))
-        inner = (matrix * weight[:, None]).T @ matrix
-        error = scale * np.sqrt(np.linalg.inv(inner)[0, 0])
+        value, reach = _excess(boards, letter, found.matrix[:2, 2])
         estimates[f"optics.lateral_color of {letter}"] = Estimate(
-            float(solved[0]),
-            float(solved[0] - 1.96 * error),
-            float(solved[0] + 1.96 * error),
+            value,
+            value - reach,
+            value + reach,
             "",
             sources,
             f"image height over {main}'s, minus one",
         )
     return estimates
+
+
+def _excess(boards: list[Board], letter, middle):
+    """Return a channel's excess of image height and the half width of its interval.
+
+    offset = excess * position + a shift of the whole channel
+    """
+    parts = []
+    for one in boards:
+        ones, zeros = np.ones(len(one.places)), np.zeros(len(one.places))
+        x, y = (one.corners - middle).T
+        parts.append(np.concatenate([np.stack([x, ones, zeros], 1), np.stack([y, zeros, ones], 1)]))
+    seen = [one.offsets[letter].T.ravel() for one in boards]
+    solved, scale = np.zeros(3), np.inf
+    for _ in range(6):  # Huber's weights against corners that failed
+        left = [own - part @ solved for own, part in zip(seen, parts, strict=True)]
+        weights = [np.minimum(1, 1.5 * scale / np.maximum(np.abs(one), 1e-12)) for one in left]
+        normals = [(p * w[:, None]).T @ p for p, w in zip(parts, weights, strict=True)]
+        pulls = [p.T @ (w * own) for p, w, own in zip(parts, weights, seen, strict=True)]
+        solved = np.linalg.solve(sum(normals), sum(pulls))
+        scale = 1.4826 * np.median(np.abs(np.concatenate(left))) + 1e-9
+    reach = 1.96 * scale * np.sqrt(np.linalg.inv(sum(normals))[0, 0])
+    if len(boards) >= ENOUGH_VIEWS:
+        others = [
+            np.linalg.solve(sum(normals) - normal, sum(pulls) - pull)
+            for normal, pull in zip(normals, pulls, strict=True)
+        ]
+        reach = max(reach, jackknife_reach(np.array(others))[0])
+    return float(solved[0]), float(reach)
 
 
 def _settings(found: Geometry, size, lateral, main):

@@ -109,7 +109,12 @@ class Fit:
         camera = camera_of(path, merged)
         if spread is None:
             return camera
-        plain = {"pupil": Pupil(), "wavefront": Wavefront(), "defocus": 0.0, "lateral_color": 0.0}
+        plain: dict[str, Any] = {
+            "pupil": Pupil(),
+            "wavefront": Wavefront(),
+            "defocus": 0.0,
+            "lateral_color": 0.0,
+        }
         plain |= {"birefringence": (0.0, 0.0), "diffuser": 0.0}
         measured = replace(camera.optics, model="measured", psf=spread, **plain)
         return replace(camera, optics=measured)

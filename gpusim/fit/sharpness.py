@@ -446,7 +446,7 @@ def point_weights(place: Place, cutoff: float) -> np.ndarray:
     total = np.full((1, matrix.shape[1]), 100.0)
     system = np.vstack([matrix * trust[:, None], penalty, total])
     aim = np.concatenate([wanted * trust, np.zeros(len(penalty)), [100.0]])
-    triangle = np.linalg.qr(np.hstack([system, aim[:, None]]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.hstack([system, aim[:, None]]), mode="r"))
     weights = scipy.optimize.nnls(triangle[:, :-1], triangle[:, -1])[0]
     return weights / weights.sum()
 
