@@ -11,8 +11,8 @@ from gpusim.fit.board import Board, require_cv2
 
 ENOUGH_VIEWS = 3
 COEFFICIENTS = ("k1", "k2", "p1", "p2", "k3")
-# standard deviations of lenses: of k1, k2 and k3 the displacement of the frame's corner over its field height, rounded up
-# from 5,671 calibrations of rectilinear lenses in lensfun (0.065, 0.054, 0.023)
+# standard deviations of lenses: of k1, k2 and k3 the displacement of the frame's corner over its field height, rounded
+# up from 5,671 calibrations of rectilinear lenses in lensfun (0.065, 0.054, 0.023)
 USUAL = {"k1": 0.1, "k2": 0.06, "p1": 2e-3, "p2": 2e-3, "k3": 0.025}
 MIDDLE = 0.05  # standard deviation of the principal point over the frame's diagonal
 SQUARE = 3e-3  # standard deviation of fy / fx - 1: pixels are square
@@ -47,8 +47,8 @@ class Geometry:
 def calibrate(boards: Sequence[Board], size: tuple[int, int], focal: float) -> Geometry:
     """Fit a pinhole camera with Brown's distortion to views of one board.
 
-    Coefficients of usual lenses are the prior. k3 is 0 unless its interval leaves out 0. Intervals allow for k3, and
-    are a jackknife's over the views, as errors of the corners of one view are not independent.
+    Coefficients of usual lenses are the prior. k3 is 0 unless the Bayesian information criterion pays for it. Intervals
+    allow for k3, and are a jackknife's over the views, as errors of the corners of one view are not independent.
 
     Args:
         boards: The views.
@@ -62,7 +62,8 @@ def calibrate(boards: Sequence[Board], size: tuple[int, int], focal: float) -> G
         Triggs et al., "Bundle adjustment: a modern synthesis", 2000; Efron, "The jackknife", 1982.
     """
     found = _solve(boards, size, focal, True)
-    if abs(found.coefficients[4]) > found.errors[4]:
+    clear = np.sqrt(np.log(sum(2 * len(one.places) for one in boards))) / 1.96
+    if abs(found.coefficients[4]) > clear * found.errors[4]:
         return found
     return replace(_solve(boards, size, focal, False), errors=found.errors)
 
