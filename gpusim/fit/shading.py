@@ -22,22 +22,15 @@ from gpusim.fit.planes import (
 from gpusim.io.raw.raw_frame import RawFrame
 
 BLOCKS = 64  # blocks on the longer side of the frame
-# models that are tried: order of a polynomial in rows and columns, and the last even power of the field height
-MODELS = (
-    (1, 4),
-    (2, 4),
-    (2, 6),
-    (2, 8),
-    (4, 6),
-    (4, 8),
-    (4, 10),
-    (6, 8),
-    (6, 10),
-    (8, 10),
-    (10, 10),
-)
+# models that are tried: order of a polynomial in rows and columns, and the last even power of the field height. Of the
+# first ones the powers stand for themselves, of the second ones all are multiplied by the polynomial: a round fall-off
+# off the middle, tilted
+SUMS = ((1, 4), (2, 4), (2, 6), (2, 8), (4, 6), (4, 8), (4, 10), (6, 8), (6, 10), (8, 10), (10, 10))
+PRODUCTS = ((1, 4), (1, 6), (1, 8), (2, 4), (2, 6), (2, 8), (2, 10))
+MODELS = tuple((*one, False) for one in SUMS) + tuple((*one, True) for one in PRODUCTS)
+WIDE = (4, 8, False)  # the model that finds blocks with dust
 TAIL = 4.0  # robust standard deviations of a block that is left out: dust, a hot pixel
-ROUND = 0.0025  # RMS by which a round fall-off may miss the map
+ROUND = 0.0015  # most by which a round fall-off may miss the map, or twice the map's own error
 COLOURED = 0.005  # difference of channels that is worth a line
 HEIGHTS = np.linspace(0, 1, 21)
 FLOOR = 8e-4  # relative error of the models themselves in the corners
@@ -52,13 +45,15 @@ class Falloff:
     Args:
         order: Order of the polynomial in rows and columns.
         power: Last even power of the field height.
-        coefficients: Of products of Chebyshev polynomials, then of even powers beyond the order, shape (n,).
+        is_product: Whether powers are multiplied by the polynomial.
+        coefficients: Of the model's functions, shape (n,).
         error: Relative standard error in the corners.
         left: Relative residuals of blocks, (rows, cols); NaN: left out.
     """
 
     order: int
     power: int
+    is_product: bool
     coefficients: np.ndarray
     error: float
     left: np.ndarray
@@ -68,9 +63,14 @@ class Falloff:
     def at(self, rows: np.ndarray, cols: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
         """Return the response at rows and columns [pixel] that broadcast, 1 in the frame's middle."""
         y, x = np.broadcast_arrays(*(np.asarray(at, np.float64) for at in (rows, cols)))
-        here = _basis(y.ravel(), x.ravel(), shape, self.order, self.power) @ self.coefficients
+        here = (
+            _basis(y.ravel(), x.ravel(), shape, self.order, self.power, self.is_product)
+            @ self.coefficients
+        )
         row, col = _middle(shape)
-        middle = _basis(row, col, shape, self.order, self.power) @ self.coefficients
+        middle = (
+            _basis(row, col, shape, self.order, self.power, self.is_product) @ self.coefficients
+        )
         return np.asarray(here / middle).reshape(y.shape)
 
 
@@ -78,12 +78,16 @@ def _middle(shape):
     return tuple(np.array([(n - 1) / 2]) for n in shape)
 
 
-def _basis(rows, cols, shape, order, power):
+def _basis(rows, cols, shape, order, power, is_product):
     """Return the functions of a model at pixels, (N, n)."""
     y, x = (2 * (at + 0.5) / n - 1 for at, n in zip((rows, cols), shape, strict=True))
     table = chebyshev.chebvander2d(y, x, [order, order]).reshape(len(y), order + 1, order + 1)
     parts = [table[:, i, j] for i in range(order + 1) for j in range(order + 1 - i)]
     square = np.asarray(np.hypot(*field_place(rows, cols, shape))) ** 2
+    if is_product:
+        return np.stack(
+            [part * square ** (k // 2) for part in parts for k in range(0, power + 1, 2)], axis=1
+        )
     parts += [square ** (k // 2) for k in range(order // 2 * 2 + 2, power + 1, 2)]
     return np.stack(parts, axis=1)
 
@@ -137,31 +141,35 @@ def _surface(plane, block, shape, name):
         np.array(at, float) for at in zip(*(place[:2] for place in _corners(shape)), strict=True)
     ]
     fits = []
-    for order, power in MODELS:
-        matrix = _basis(y, x, shape, order, power)
-        if 2 * matrix.shape[1] > len(seen):
+    kept = _smooth_blocks(y, x, seen, shape)
+    for order, power, is_product in MODELS:
+        matrix = _basis(y, x, shape, order, power, is_product)
+        if 2 * matrix.shape[1] > kept.sum():
             continue
-        kept = np.ones(len(seen), bool)
-        for _ in range(4):
-            found = np.linalg.lstsq(matrix[kept], seen[kept], rcond=None)[0]
-            left = seen - matrix @ found
-            spread = 1.4826 * np.median(np.abs(left[kept])) + 1e-12
-            kept = np.abs(left) < TAIL * spread
+        found = np.linalg.lstsq(matrix[kept], seen[kept], rcond=None)[0]
+        left = seen - matrix @ found
         count, size = kept.sum(), matrix.shape[1]
         squares = float((left[kept] ** 2).sum())
-        score = count * np.log(squares / count + 1e-30) + size * np.log(count)
-        ends = _basis(*corners, shape, order, power)
+        score = count * np.log(squares / count + 1e-30) + 2 * size
+        ends = _basis(*corners, shape, order, power, is_product)
         inner = np.linalg.pinv(matrix[kept].T @ matrix[kept])
         variance = squares / max(count - size, 1) * np.einsum("ij,jk,ik->i", ends, inner, ends)
         fits.append(
-            (score, order, power, found, np.where(kept, left, np.nan), ends @ found, variance)
+            (
+                score,
+                (order, power, is_product),
+                found,
+                np.where(kept, left, np.nan),
+                ends @ found,
+                variance,
+            )
         )
     if not fits:
         raise BadData(
             f"{name}: {plane.shape[1]} x {plane.shape[0]} blocks, too few; use a larger frame"
         )
     fits.sort(key=lambda one: one[0])
-    score, order, power, found, left, ends, variance = fits[0]
+    score, model, found, left, ends, variance = fits[0]
     if not (ends > 0.02).all():
         raise BadData(f"{name}: no even light, a corner is dark; shoot a flat that fills the frame")
     if np.nanstd(left) > 0.05:
@@ -172,9 +180,22 @@ def _surface(plane, block, shape, name):
         )
     # models that explain the blocks nearly as well differ in the corners
     weights = np.exp([-(one[0] - score) / 2 for one in fits])
-    apart = np.array([np.mean((one[5] - ends) ** 2) for one in fits])
+    apart = np.array([np.mean((one[4] - ends) ** 2) for one in fits])
     error = np.sqrt(variance.mean() + (weights @ apart) / weights.sum()) / ends.mean()
-    return Falloff(order, power, found, float(error), left.reshape(plane.shape))
+    return Falloff(*model, found, float(error), left.reshape(plane.shape))
+
+
+def _smooth_blocks(y, x, seen, shape):
+    """Return the blocks that a smooth surface explains: no dust, no hot pixels."""
+    kept = np.ones(len(seen), bool)
+    matrix = _basis(y, x, shape, *WIDE)
+    for _ in range(4):
+        if kept.sum() < 2 * matrix.shape[1]:
+            return np.ones(len(seen), bool)
+        left = seen - matrix @ np.linalg.lstsq(matrix[kept], seen[kept], rcond=None)[0]
+        spread = 1.4826 * np.median(np.abs(left[kept])) + 1e-12
+        kept = np.abs(left) < TAIL * spread
+    return kept
 
 
 def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | None = None) -> Part:
@@ -247,8 +268,8 @@ def _settings(own: Falloff, shape):
     # a smooth round function: even powers of the height, 1 in the middle
     powers = np.stack([height.ravel() ** (2 * k) for k in range(1, 6)], axis=1)
     solved = np.linalg.lstsq(powers, response.ravel() - 1, rcond=None)[0]
-    miss = float(np.sqrt(np.mean((powers @ solved + 1 - response.ravel()) ** 2)))
-    if miss <= ROUND:
+    miss = float(np.abs((powers @ solved + 1) / response.ravel() - 1).max())
+    if miss <= max(ROUND, 2 * own.error):
         curve = 1 + np.stack([HEIGHTS ** (2 * k) for k in range(1, 6)], axis=1) @ solved
         table = {"heights": HEIGHTS.tolist(), "values": np.round(curve, 5).tolist()}
         return {"optics": {"relative_illumination": table}}
