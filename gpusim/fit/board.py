@@ -75,7 +75,7 @@ def find_board(frame: RawFrame, black: ArrayLike | None = None) -> Board:
     values = light_values(frame, black)
     even = even_plane(frame, values)
     planes = {
-        letter: _filled(even, mask) if len(frame.channels) > 1 else even
+        letter: _fill_gaps(even, mask) if len(frame.channels) > 1 else even
         for letter, mask in letter_masks(frame).items()
     }
     main = main_channel(frame.channels)
@@ -111,7 +111,7 @@ def _ways(places, corners):
     return np.where(np.isnan(ways), np.nanmedian(ways, axis=0), ways)
 
 
-def _filled(even, mask):
+def _fill_gaps(even, mask):
     """Return a channel's plane with its gaps filled from neighbours, weights falling with distance."""
     weight = scipy.ndimage.gaussian_filter(mask.astype(float), 0.8)
     return scipy.ndimage.gaussian_filter(np.where(mask, even, 0), 0.8) / np.maximum(weight, 1e-9)

@@ -78,7 +78,7 @@ def _solve(boards, size, focal, has_k3):
     for _ in range(ROUNDS):
         views = [_view(board, inner, pose) for board, pose in zip(boards, poses, strict=True)]
         noise = 1.4826 * np.median(np.abs(np.concatenate([left for left, _ in views]))) + 1e-6
-        parts = [_reduced(left, slopes, noise) for left, slopes in views]
+        parts = [_normal_system(left, slopes, noise) for left, slopes in views]
         # square pixels: fy less fx is near 0
         prior, pull = np.diag(weight), weight * (first - inner)
         prior[:2, :2] += np.array([[1, -1], [-1, 1]]) / (SQUARE * inner[0]) ** 2
@@ -146,7 +146,7 @@ def _view(board, inner, pose):
     return board.corners.ravel() - seen.ravel(), slopes[:, :15]
 
 
-def _reduced(left, slopes, noise):
+def _normal_system(left, slopes, noise):
     """Return the normal matrix and gradient of the parameters without the pose, and the pose's step and slope."""
     away = np.hypot(*left.reshape(-1, 2).T).repeat(2)
     weight = np.minimum(1, ROBUST * noise / np.maximum(away, 1e-12)) / noise**2
@@ -182,7 +182,7 @@ def jackknife_reach(values: np.ndarray) -> np.ndarray:
     return np.asarray(scipy.special.stdtrit(count - 1, 0.975) * error)
 
 
-def agreeing(boards: Sequence[Board], size: tuple[int, int], focal: float) -> list[Board]:
+def choose_views(boards: Sequence[Board], size: tuple[int, int], focal: float) -> list[Board]:
     """Return the views that one camera explains: the worst view is left out until all miss about alike.
 
     Args:

@@ -12,8 +12,8 @@ from gpusim.fit.bundle import (
     COEFFICIENTS,
     ENOUGH_VIEWS,
     Geometry,
-    agreeing,
     calibrate,
+    choose_views,
     jackknife_reach,
 )
 from gpusim.fit.estimate import Estimate, Part, Plot
@@ -66,7 +66,7 @@ def fit_distortion(
     rows, cols = every[0].values.shape
     focal_length = focal_length or every[0].focal_length
     nominal = focal_length / pitch if focal_length and pitch else ASSUMED_FOCAL * max(rows, cols)
-    kept = agreeing(boards, (cols, rows), nominal)
+    kept = choose_views(boards, (cols, rows), nominal)
     faults += [
         f"{one.name}: corners do not fit the other views, not used"
         for one in boards

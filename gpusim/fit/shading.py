@@ -47,7 +47,7 @@ class Falloff:
         power: Last even power of the field height.
         is_product: Whether powers are multiplied by the polynomial.
         coefficients: Of the model's functions, shape (n,).
-        error: Relative standard error in the corners.
+        error: Relative standard error in the four corners, see `_corners`.
         left: Relative residuals of blocks, (rows, cols); NaN: left out.
     """
 
@@ -55,7 +55,7 @@ class Falloff:
     power: int
     is_product: bool
     coefficients: np.ndarray
-    error: float
+    error: np.ndarray
     left: np.ndarray
 
     __repr__ = short_repr
@@ -180,9 +180,9 @@ def _surface(plane, block, shape, name):
         )
     # models that explain the blocks nearly as well differ in the corners
     weights = np.exp([-(one[0] - score) / 2 for one in fits])
-    apart = np.array([np.mean((one[4] - ends) ** 2) for one in fits])
-    error = np.sqrt(variance.mean() + (weights @ apart) / weights.sum()) / ends.mean()
-    return Falloff(*model, found, float(error), left.reshape(plane.shape))
+    apart = np.array([(one[4] - ends) ** 2 for one in fits])
+    error = np.sqrt(variance + (weights @ apart) / weights.sum()) / ends
+    return Falloff(*model, found, error, left.reshape(plane.shape))
 
 
 def _smooth_blocks(y, x, seen, shape):
@@ -219,9 +219,9 @@ def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | Non
     settings = _settings(found[main], shape)
     estimates = {}
     for letter, own in found.items():
-        for row, col, words in _corners(shape):
+        for (row, col, words), error in zip(_corners(shape), own.error, strict=True):
             value = float(own.at(row, col, shape))
-            reach = 1.96 * value * np.hypot(own.error, FLOOR)
+            reach = 1.96 * value * np.hypot(error, FLOOR)
             key = f"relative illumination of {letter} at the {words} corner"
             estimates[key] = Estimate(
                 value, value - reach, value + reach, "", sources, "the frame's middle is 1"
@@ -269,7 +269,7 @@ def _settings(own: Falloff, shape):
     powers = np.stack([height.ravel() ** (2 * k) for k in range(1, 6)], axis=1)
     solved = np.linalg.lstsq(powers, response.ravel() - 1, rcond=None)[0]
     miss = float(np.abs((powers @ solved + 1) / response.ravel() - 1).max())
-    if miss <= max(ROUND, 2 * own.error):
+    if miss <= max(ROUND, 2 * own.error.mean()):
         curve = 1 + np.stack([HEIGHTS ** (2 * k) for k in range(1, 6)], axis=1) @ solved
         table = {"heights": HEIGHTS.tolist(), "values": np.round(curve, 5).tolist()}
         return {"optics": {"relative_illumination": table}}

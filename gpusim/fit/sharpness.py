@@ -358,8 +358,8 @@ def spread_over_field(
         cutoff = WAVELENGTHS.get(letter, 550.0) * 1e-9 * f_number / pitch
         weights = [point_weights(place, cutoff) for place in own]
         excess = lateral_color.get(letter, 0.0)
-        tables.append(_sampled(own, weights, cutoff, fine, nodes, shape, excess))
-    values = _trimmed(np.stack(tables, axis=-3), fine)
+        tables.append(_sample_spreads(own, weights, cutoff, fine, nodes, shape, excess))
+    values = _trim(np.stack(tables, axis=-3), fine)
     waves = [WAVELENGTHS.get(letter, 550.0) for letter in letters]
     values = np.concatenate([values[..., :1, :, :], values, values[..., -1:, :, :]], axis=-3)
     grid = None
@@ -451,7 +451,7 @@ def point_weights(place: Place, cutoff: float) -> np.ndarray:
     return weights / weights.sum()
 
 
-def _sampled(places, weights, cutoff, fine, nodes, shape, excess):
+def _sample_spreads(places, weights, cutoff, fine, nodes, shape, excess):
     """Return point spreads (Y, X, n, n) at the nodes, `fine` samples to a pixel; (1, 1, n, n) without nodes."""
     half = WINDOW * fine
     size = scipy.fft.next_fast_len(2 * half + 1)
@@ -515,7 +515,7 @@ def _shares(spots, row, col):
     return near / near.sum()
 
 
-def _trimmed(values, fine):
+def _trim(values, fine):
     """Return point spreads without the border that holds next to no energy."""
     middle = values.shape[-1] // 2
     worst = values.reshape(-1, *values.shape[-2:])
