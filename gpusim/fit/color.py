@@ -99,7 +99,7 @@ def fit_color(
         estimates,
         {"sensor": {"sensitivity": table}},
         _plots(fit, charts, names, differences),
-        _unexplained(fit, charts, names, differences),
+        _describe_misfit(fit, charts, names, differences),
         _unknown(fit, charts, names, is_guessed),
     )
 
@@ -196,7 +196,7 @@ def _differences(fit: Sensitivity, chart: Patches, light, number):
     return found, np.clip(shown.T, 0, 1) ** (1 / 2.2)
 
 
-def _unexplained(fit: Sensitivity, charts, names, differences):
+def _describe_misfit(fit: Sensitivity, charts, names, differences):
     lines = []
     for chart, name, (found, _) in zip(charts, names, differences, strict=False):
         used = ~np.isin(np.arange(24), chart.clipped)

@@ -88,7 +88,7 @@ def fit_distortion(
         _estimates(found, sources) | lateral,
         _settings(found, (cols, rows), lateral, main_channel(every[0].channels)),
         _plots(boards, found, (cols, rows)),
-        _unexplained(boards, found, (rows, cols), spread),
+        _describe_misfit(boards, found, (rows, cols), spread),
         tuple(faults) + _unknown(boards, found, (rows, cols), focal_length),
     )
 
@@ -211,7 +211,7 @@ def _unknown(boards, found: Geometry, shape, focal_length):
     return tuple(lines)
 
 
-def _unexplained(boards: list[Board], found: Geometry, shape, spread):
+def _describe_misfit(boards: list[Board], found: Geometry, shape, spread):
     """Return a line if mean residuals of parts of the frame are no chance."""
     corners = np.concatenate([one.corners for one in boards])
     cell = np.clip((corners / np.array(shape[::-1]) * CELLS).astype(int), 0, CELLS - 1)

@@ -60,7 +60,7 @@ class EdgeSamples:
         return float(np.std(np.diff(seen[order])) / np.sqrt(2))
 
     @cached_property
-    def binned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def bin_values(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean distance (B,), sums of values and counts by block (BLOCKS, B)."""
         number = np.floor(self.distance * BINS).astype(int)
         number -= number.min()
@@ -272,7 +272,7 @@ def fit_line(
     """
     tables = []
     for edge in edges:
-        place, sums, counts = edge.binned
+        place, sums, counts = edge.bin_values
         tables.append((_edge_spreads(edge.angle, place, cutoff, aperture), sums, counts))
     whole = _solve(tables, np.ones(BLOCKS, bool))
     parts = np.stack([_solve(tables, np.arange(BLOCKS) != left) for left in range(BLOCKS)])
@@ -282,7 +282,7 @@ def fit_line(
     for number, (edge, (table, sums, counts)) in enumerate(zip(edges, tables, strict=True)):
         n = counts.sum(0)
         left = (sums.sum(0) / n - whole[count + number] - table.T @ weights) / weights.sum()
-        residual.append(np.stack([edge.binned[0], left]))
+        residual.append(np.stack([edge.bin_values[0], left]))
         noise.append(edge.noise**2 / weights.sum() ** 2 / n)
     together = np.concatenate(residual, axis=1)
     is_across = abs(np.cos(edges[0].angle)) > np.sqrt(0.5)

@@ -231,7 +231,7 @@ def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | Non
         estimates,
         settings,
         _plots(found, shape, main),
-        _unexplained(found, shape, main),
+        _describe_misfit(found, shape, main),
         (
             "causes of the fall-off: the lens, the pixels and an uneven surface look alike; turn the camera by "
             "half and "
@@ -284,7 +284,7 @@ def _settings(own: Falloff, shape):
     }
 
 
-def _unexplained(found, shape, main):
+def _describe_misfit(found, shape, main):
     lines = []
     y, x = np.meshgrid(*(np.linspace(0, n - 1, 33) for n in shape), indexing="ij")
     leading = found[main].at(y, x, shape)

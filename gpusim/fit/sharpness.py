@@ -193,7 +193,7 @@ def _usable(edges, frame, clipped):
             faults.append(
                 f"{name}: an edge is too steep, {degrees}; turn the target by about 5 degrees"
             )
-        elif _share_clipped(edge, clipped) > 1e-3:
+        elif _clipped_share(edge, clipped) > 1e-3:
             faults.append(
                 f"{name}: the light side of an edge is clipped; expose less, to half of the range"
             )
@@ -202,7 +202,7 @@ def _usable(edges, frame, clipped):
     return used, faults
 
 
-def _share_clipped(edge: FoundEdge, clipped):
+def _clipped_share(edge: FoundEdge, clipped):
     reach = int(edge.width)
     row, col = (
         int(edge.row + reach / 2 * np.sin(edge.angle)),
@@ -262,7 +262,7 @@ def fit_sharpness(
         _estimates(places),
         settings,
         _plots(places, shape),
-        _unexplained(places),
+        _describe_misfit(places),
         unknown,
     )
 
@@ -307,7 +307,7 @@ def _gaps(places, shape, pitch, number):
     return tuple(lines)
 
 
-def _unexplained(places):
+def _describe_misfit(places):
     worst = None
     for place in places:
         for line in (place.across, place.down):

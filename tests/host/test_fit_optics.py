@@ -1,11 +1,13 @@
 """Fits of optics and colour on small frames: what they find, and what they refuse in one line."""
 
+import board_targets as boards
 import edge_targets as edges
 import flat_targets as flats
 import numpy as np
 import pytest
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.fit.board import find_board
 from gpusim.fit.color import fit_color
 from gpusim.fit.distortion import fit_distortion
 from gpusim.fit.shading import fit_shading
@@ -90,6 +92,23 @@ def test_targets_that_are_not_there(fit):
     frame = grey(rng.normal(1000, 5, (96, 96)), ("RG", "GB"))
     with pytest.raises(BadData, match=r"found.*(shoot|let it fill)"):
         fit(frame)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.13])
+def test_boards_give_their_corners(turn):
+    """All inner corners and no others, also of a board whose edges run along the pixels."""
+    focal, size, squares = 200.0, (160, 120), (6, 4)
+    matrix, shift = (focal, focal, 80.2, 59.6), np.array([0.02, -0.01, 9.0])
+    tilt = boards.rotation(0.3 * turn, 0, turn)
+    middle = tilt @ np.array([3, 2, 0])
+    picture = boards.view(size, matrix, np.zeros(5), tilt, shift - middle, squares, fine=4)
+    found = find_board(grey(np.rint(3000 * picture + 64)))
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(1, 6), np.arange(1, 4)))
+    place = (tilt @ np.stack([x, y, 0 * x])).T + shift - middle
+    truth = focal * place[:, :2] / place[:, 2:] + matrix[2:]
+    assert len(found.corners) == len(truth)
+    away = np.hypot(*(found.corners[:, None] - truth).T)
+    assert away.min(axis=0).max() < 0.03
 
 
 def test_frames_are_checked():
