@@ -248,7 +248,7 @@ def _plots(boards: list[Board], found: Geometry, size):
             width=2e-3,
         )
         unit = max(np.percentile(np.hypot(*residuals.T), 90), 1e-6)
-        axes.quiverkey(arrows, 0.9, 1.03, unit, f"{unit:.2g} pixel", labelpos="E")
+        axes.quiverkey(arrows, 0.85, -0.12, unit, f"{unit:.2g} pixel", labelpos="E")
         axes.set(
             xlim=(0, size[0]), ylim=(size[1], 0), aspect="equal", xlabel="column", ylabel="row"
         )
