@@ -314,3 +314,24 @@ def _solve(tables, used):
     both = np.hstack([np.concatenate(rows), np.concatenate(wanted)[:, None]])
     triangle = np.linalg.qr(both, mode="r")
     return scipy.optimize.nnls(triangle[:, :-1], triangle[:, -1])[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Blur of one channel at one place in the frame.
+
+    Args:
+        row, col: The place [pixel].
+        letter: The channel.
+        across, down: Blur along rows and along columns; None: no edge shows it.
+        sources: Names of the files.
+    """
+
+    row: float
+    col: float
+    letter: str
+    across: LineSpread | None
+    down: LineSpread | None
+    sources: tuple[str, ...] = ()
+
+    __repr__ = short_repr
