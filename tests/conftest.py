@@ -62,7 +62,6 @@ ONE_OF = {
     "test_nothing_is_read_and_nothing_is_stale": 3,
     "test_a_sketch_shows_what_changes": 3,
     "test_a_point_behind_blades_on_all_devices": 3,
-    "test_batches_of_captures_have_four_axes_at_most": 2,
     "test_points_land_where_opencv_puts_them": 7,
     "test_a_loops_memory_is_predicted": 3,
     "test_a_draft_is_near_what_is_planned_for_the_lens": 6,
