@@ -64,7 +64,7 @@ ONE_OF = {
     "test_a_point_behind_blades_on_all_devices": 3,
     "test_points_land_where_opencv_puts_them": 7,
     "test_a_loops_memory_is_predicted": 3,
-    "test_a_draft_is_near_what_is_planned_for_the_lens": 6,
+    "test_a_draft_is_near_what_is_planned_for_the_lens": 4,
     "test_what_has_no_draft_is_planned": 2,
     "test_items_of_several_scenes": 6,
     "test_items_of_several_settings": 6,

@@ -49,7 +49,8 @@ def discs(count, rows=48, cols=64):
 
 
 def degrees(one, other):
-    return np.degrees(np.arccos(one @ other / np.linalg.norm(one) / np.linalg.norm(other)))
+    one, other = one / np.linalg.norm(one), other / np.linalg.norm(other)
+    return np.degrees(2 * np.arcsin(np.linalg.norm(one - other) / 2))
 
 
 def errors_of(known, change=lambda surfaces: surfaces, lights=UNLISTED):
