@@ -158,7 +158,7 @@ def test_an_empty_file_is_the_phone(tmp_path):
     "text, words",
     [
         ("base = 3", "base = 3: wanted a camera's name or file"),
-        ('base = "nope"', "base = 'nope': no such camera or file; cameras are figure8, "),
+        ('base = "nope"', "base = 'nope': no such camera or file; cameras are action, "),
         ('base = "a.toml"', "base = 'a.toml': the bases form a loop"),
         ('base = "b.toml"', "base = 'a.toml': the bases form a loop"),
         ('base = "phone"\noptics = 3', "optics = 3: wanted a section"),
