@@ -43,7 +43,7 @@ class FitRequest(Options):
         default=(), nargs="+", metavar="FILE", help="frames of slanted edges"
     )
     grid: list[str] | tuple = option(
-        default=(), nargs="+", metavar="FILE", help="frames of a grid of dots or a checkerboard"
+        default=(), nargs="+", metavar="FILE", help="frames of a checkerboard"
     )
     shading: list[str] | tuple = option(
         default=(), nargs="+", metavar="FILE", help="evenly lit frames through the lens"

@@ -44,7 +44,7 @@ class _Function(ModuleType):
             flats: Pairs, or more frames, of even light without a lens, from dark to beyond saturation.
             chart: Frames of a ColorChecker.
             edges: Frames of slanted edges.
-            grid: Frames of a grid of dots or a checkerboard.
+            grid: Frames of a checkerboard.
             shading: Frames of even light through the lens.
             ramp: Frames of steps of light, also as JPEGs.
             base: Camera whose values stand for unknown ones, a name or a file; None: "mono" for one

@@ -3,7 +3,7 @@
 from html import escape
 
 from gpusim.fit.compare import Comparison
-from gpusim.fit.page import STYLE, _figures, _lines
+from gpusim.fit.page import STYLE, list_lines, plot_figures
 from gpusim.fit.verdicts import AGREES, Finding
 
 
@@ -27,14 +27,14 @@ def compare_page(found: Comparison) -> str:
         "together hold with 95 %.</p>",
         '<p class="soft">A statistic agrees if its interval lies within the agreed difference. It differs if the '
         "interval excludes 0 and the difference is larger than agreed. Otherwise there are too few frames.</p>",
-        _lines("Not compared", found.unknown, "Nothing is left out."),
+        list_lines("Not compared", found.unknown, "Nothing is left out."),
         "<h2>Statistics</h2>",
         _table(found.findings),
     ]
     if found.plots:
         body += [
             "<h2>Figures</h2>",
-            f'<div class="plots">{"".join(_figures(list(found.plots)))}</div>',
+            f'<div class="plots">{"".join(plot_figures(list(found.plots)))}</div>',
         ]
     text = "\n".join(body)
     return (

@@ -8,7 +8,7 @@ import numpy as np
 
 from gpusim.fit.intervals import Range, chance_of, chance_of_normal, normal_range
 from gpusim.fit.levels import Level
-from gpusim.fit.transfer import _pooled
+from gpusim.fit.transfer import pool_channels
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ def fit_dark_line(levels: Sequence[Level], line_error: float) -> DarkLine:
     Returns:
         The lines; without two exposure times, the mean of all frames as the black level.
     """
-    points = [_pooled(level) for level in levels]
+    points = [pool_channels(level) for level in levels]
     means = np.array([point.mean for point in points])
     counts = np.array([level.count for level in levels])
     variances = np.array([_finite(point.mean_variance) for point in points]) + line_error / counts
@@ -126,7 +126,7 @@ def find_drift(level: Level, line_error: float) -> Drift | None:
     if level.count < 3:
         return None
     means = level.frame_means.mean(axis=1)
-    pixels = _finite(_pooled(level).mean_variance) * level.count
+    pixels = _finite(pool_channels(level).mean_variance) * level.count
     expected = pixels + line_error
     order = np.arange(level.count) - (level.count - 1) / 2
     slope = float(order @ means / np.sum(order**2))

@@ -186,11 +186,11 @@ def fit_camera(
     """Fit a camera to its own raw files, see `gpusim.fit`. more: files by kind of `KINDS`."""
     settings = {"cfa": cfa} if cfa is not None else {}
     given = {"": files, **more}
-    shots = [shot for kind, paths in given.items() for shot in _find_shots(paths, kind, settings)]
+    shots = [shot for kind, paths in given.items() for shot in find_shots(paths, kind, settings)]
     if not shots:
         raise BadData("no raw files: wanted dark frames and flats, or shots of charts")
     plain = [shot for shot in shots if shot.kind != "ramp"]
-    summaries = name_kinds(_summaries(plain))
+    summaries = name_kinds(_summaries(plain)) if plain else []
     by_kind: dict[str, list[Summary]] = {}
     for one in summaries:
         by_kind.setdefault(one.shot.kind, []).append(one)
@@ -229,8 +229,18 @@ def _summaries(shots):
     return summaries
 
 
-def _find_shots(paths, kind, settings):
-    """Return the shots of files and folders, in the order of their names."""
+def find_shots(paths: Paths, kind: str, settings: Mapping[str, Any]) -> list[Shot]:
+    """Return the shots of files and folders, in the order of their names.
+
+    Args:
+        paths: Files and folders.
+        kind: Kind of all of them; "": the names of folders and files say it, or content does.
+        settings: Arguments of the reader.
+
+    Raises:
+        BadData: These are no paths.
+        BadFile: A folder has no raw files, or a file cannot be read.
+    """
     found = []
     for path in [paths] if isinstance(paths, str | os.PathLike) else _listed(paths):
         if not isinstance(path, str | os.PathLike):

@@ -14,7 +14,7 @@ from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.mosaics import mosaic, shortest_period
 from gpusim.domain.progress import announced
 from gpusim.domain.short_repr import short_repr
-from gpusim.fit.fitting import _find_shots
+from gpusim.fit.fitting import find_shots
 from gpusim.fit.noise_sums import light_at, smooth_light
 from gpusim.fit.sorting import (
     Summary,
@@ -129,7 +129,7 @@ def shots_of(frames: Any, kind: str = "", **settings: Any) -> list[Any]:
         if isinstance(one, RawFrame):
             found.append(Given(replace(one, **_mosaic_of(settings)), kind, number))
         elif isinstance(one, str | PathLike):
-            found += _find_shots(one, kind, settings)
+            found += find_shots(one, kind, settings)
         else:
             raise BadData(f"held-out frame: {type(one).__name__}, wanted a file or a RawFrame")
     return found

@@ -2,7 +2,7 @@
 
 import io
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -52,13 +52,13 @@ def fit_page(fit: "Fit", file_name: str) -> str:
         f"<h1>{title}</h1>",
         f'<p class="soft">Camera file {escape(file_name)}; values that were not measured are of the base, '
         f"{escape(_base_name(fit.base))}. {escape('; '.join(fit.lines))}.</p>",
-        _lines(
+        list_lines(
             "Not explained by the model",
             fit.unexplained,
             "All tests passed: the model explains these frames.",
             True,
         ),
-        _lines("Not known from these shots", fit.unknown, "Nothing is left out."),
+        list_lines("Not known from these shots", fit.unknown, "Nothing is left out."),
         "<h2>Estimates</h2><p>With intervals of 95 % confidence.</p>",
         _table(fit.estimates),
     ]
@@ -66,7 +66,7 @@ def fit_page(fit: "Fit", file_name: str) -> str:
     if plots:
         parts += [
             "<h2>Fits and residuals</h2>",
-            f'<div class="plots">{"".join(_figures(plots))}</div>',
+            f'<div class="plots">{"".join(plot_figures(plots))}</div>',
         ]
     body = "\n".join(parts)
     return (
@@ -82,7 +82,8 @@ def _base_name(base):
     return Path(base).name
 
 
-def _lines(title, lines, none, is_warning=False):
+def list_lines(title: str, lines: Sequence[str], none: str, is_warning: bool = False) -> str:
+    """Return a heading with a list in HTML. none: text if there are no lines."""
     if not lines:
         return f"<h2>{title}</h2><p>{none}</p>"
     kind = ' class="warn"' if is_warning else ""
@@ -109,7 +110,8 @@ def _number(value):
     return f"{value:.5g}" if math.isfinite(value) else "unbounded"
 
 
-def _figures(plots: list[Plot]) -> Iterable[str]:
+def plot_figures(plots: list[Plot]) -> Iterable[str]:
+    """Yield the figures in HTML. Raises Missing if Matplotlib is not installed."""
     try:
         import matplotlib
     except ImportError:

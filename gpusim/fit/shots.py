@@ -12,7 +12,7 @@ from gpusim.domain.short_repr import short_repr
 from gpusim.io.raw.raw_files import read_raw
 from gpusim.io.raw.raw_frame import RawFrame
 
-# content of a shot: no light; even light; colour patches; slanted edges; a grid of dots or a checkerboard; even light
+# content of a shot: no light; even light; colour patches; slanted edges; a checkerboard; even light
 # through the lens; steps of light
 KINDS = ("dark", "flat", "chart", "edges", "grid", "shading", "ramp")
 

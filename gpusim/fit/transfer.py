@@ -165,7 +165,7 @@ def fit_transfer(
     if not used:
         names = ", ".join(flats[0].names[:2]) if flats else ""
         raise BadData(f"all flats are clipped or single frames ({names} ...): {SHOOT_FLATS}")
-    used += [(_pooled(level), level, "") for level in darks if level.count > 1]
+    used += [(pool_channels(level), level, "") for level in darks if level.count > 1]
     signal = np.array([point.mean - black for point, _, _ in used])
     variance = np.array([_unrounded(point.variance, lines, is_whole) for point, _, _ in used])
     relative = np.array(
@@ -207,7 +207,7 @@ def fit_transfer(
     )
 
 
-def _pooled(level):
+def pool_channels(level):
     """Return the point of all channels of a dark level."""
     from gpusim.fit.levels import Point
 
@@ -227,7 +227,7 @@ def _pooled(level):
 
 
 def _dark_variance(darks):
-    return min((_pooled(level).variance for level in darks if level.count > 1), default=0.0)
+    return min((pool_channels(level).variance for level in darks if level.count > 1), default=0.0)
 
 
 def _unrounded(variance, lines, is_whole):

@@ -183,3 +183,10 @@ def test_dark_current_doubles():
     assert doubling.low < 8 < doubling.high
     assert rate == pytest.approx(3 * 2 ** ((degrees - 20) / 8), rel=1e-6)
     assert fit_doubling({20.0: (3.0, 0.03)}) is None
+
+
+def test_a_ramp_by_itself_gives_the_tone_curve(tmp_path):
+    codes = (255 * np.linspace(0, 1, 256) ** (1 / 2.2)).round().astype(np.uint8)
+    Image.fromarray(np.tile(codes[None, :, None], (32, 1, 3))).save(tmp_path / "ramp.png")
+    found = gs.fit([], ramp=[tmp_path / "ramp.png"])
+    assert "tone" in found.settings["processor"]

@@ -76,7 +76,7 @@ def test_intervals_hold_the_truth_of_cameras_that_were_held_back():
     assert total[1] >= 1000
     assert 0.93 <= total[0] / total[1] <= 0.97
     assert all(inside / count >= 0.85 for inside, count in shares.values())
-    # about 30 tests of 3e-4 for each speed, 60 for a camera: 2 %; 75 fits give 0 .. 5 (99.9 %)
+    # about 25 tests of 3e-4 for each speed, 50 for a camera: 1.5 %; 75 fits give 0 .. 5 (99.9 %)
     assert sum(map(bool, alarms)) <= 5
 
 
