@@ -69,7 +69,7 @@ def fit_tone(
         )
         for at, value, sigma in zip(nodes, values, errors, strict=True)
     }
-    tone = [np.round(nodes, 6).tolist(), np.round(values, 6).tolist()]
+    tone = np.round(np.stack([nodes, values], axis=1), 6).tolist()
     left = y - scipy.interpolate.PchipInterpolator(nodes, values)(np.clip(x, 0, nodes[-1]))
     unexplained: tuple[str, ...] = ()
     if np.abs(left).max() > 0.01 + 4 * np.median(error):

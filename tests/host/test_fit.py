@@ -189,4 +189,6 @@ def test_a_ramp_by_itself_gives_the_tone_curve(tmp_path):
     codes = (255 * np.linspace(0, 1, 256) ** (1 / 2.2)).round().astype(np.uint8)
     Image.fromarray(np.tile(codes[None, :, None], (32, 1, 3))).save(tmp_path / "ramp.png")
     found = gs.fit([], ramp=[tmp_path / "ramp.png"])
-    assert "tone" in found.settings["processor"]
+    found.write(tmp_path / "mine.toml")
+    tone = gs.open_camera(tmp_path / "mine.toml").processor.tone
+    assert np.allclose(tone, found.settings["processor"]["tone"]) and len(tone) > 2

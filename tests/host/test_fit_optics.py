@@ -122,7 +122,7 @@ def test_ramps_give_their_tone():
     rng = np.random.default_rng(6)
     curve, light = flats.tone(rng), ramp_light((8, 600))
     part = fit_tone(np.rint(255 * curve(flats.encode(light))), light)
-    nodes, values = part.settings["processor"]["tone"]
+    nodes, values = np.transpose(part.settings["processor"]["tone"])
     assert values == pytest.approx(curve(np.array(nodes)), abs=0.01)
 
 

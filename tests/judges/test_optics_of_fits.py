@@ -327,7 +327,7 @@ def judge_tone(seed):
     light = np.broadcast_to((np.arange(900) + 0.5) / 900, (40, 900))
     codes = np.rint(255 * curve(flats.encode(light)) + rng.normal(0, 0.7, light.shape)).clip(0, 255)
     part = fit_tone(codes, light)
-    nodes, values = part.settings["processor"]["tone"]
+    nodes, values = np.transpose(part.settings["processor"]["tone"])
     at = np.linspace(0.05, 1, 300)
     hits = [
         one.low <= curve(np.array(x)) <= one.high
