@@ -6,7 +6,8 @@ from typing import TypeAlias
 from gpusim.backends.device import kernel_folder
 from gpusim.domain.errors import DeviceError
 
-BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt")  # of every program
+# of every program; -w: compilers warn of vectors that the host lacks, which changes nothing here
+BUILD_OPTIONS = ("-cl-std=CL1.2", "-cl-fp32-correctly-rounded-divide-sqrt", "-w")
 # Work-items of CPU work-groups, one after the other: whole vectors of any width, little overhead
 # per group, then the rest. PoCL compiles a kernel for every size of a group, 50 ms each: there are
 # few.

@@ -285,8 +285,8 @@ class Notes:
         size = "its error is not known"
         if bound.is_known:
             size = f"relative rms {bound.rms:.2g}, predicted"
-        self.left_out.append(words if bound == DECLARED else f"{words}: {size}")
+        self.left_out.append(words if bound is DECLARED else f"{words}: {size}")
         if of_scene:
             self.beside[name or words] = bound.rms
-        elif bound != DECLARED:
+        elif bound is not DECLARED:
             self.bounds[name or words] = bound
