@@ -78,7 +78,7 @@ def fit(request: FitRequest) -> int:
         request: Options of the command.
 
     Returns:
-        The exit status: 0; 1 if the frames have what the model does not explain.
+        The exit status: 0; 1 if the model does not explain the frames, or a part could not be fitted.
 
     Raises:
         GpusimError: An option or a file is wrong.
@@ -107,8 +107,12 @@ def fit(request: FitRequest) -> int:
         print(line)
     for key, one in found.estimates.items():
         print(f"{key:34s} {words(one)}")
-    for title, lines in (("not explained", found.unexplained), ("not known", found.unknown)):
+    for title, lines in (
+        ("not fitted", found.failed),
+        ("not explained", found.unexplained),
+        ("not known", found.unknown),
+    ):
         for line in lines:
             print(f"{title}: {line}")
     print(f"wrote {', '.join(map(str, written))}")
-    return 1 if found.unexplained else 0
+    return 1 if found.unexplained or found.failed else 0

@@ -34,7 +34,8 @@ class _Function(ModuleType):
         """Fit a camera to its own raw files.
 
         The shots decide which parts are fitted; `Fit.unknown` names the rest. Every estimate has an
-        interval of 95 % confidence; `Fit.unexplained` lists findings outside the model.
+        interval of 95 % confidence; `Fit.unexplained` lists findings outside the model. A part whose
+        frames cannot be used does not end the fit, if there are others: `Fit.failed` says why.
 
         Args:
             files: Raw files or folders. A folder's name (darks, flats, chart, edges, grid, shading,
@@ -56,7 +57,7 @@ class _Function(ModuleType):
             The fit.
 
         Raises:
-            BadData: Frames are missing, mixed, clipped or moved.
+            BadData: Frames are mixed; or no part can be fitted, as frames are missing, clipped or moved.
             BadFile: A file cannot be read, or is no raw file.
             UnknownName: There is no such base or mosaic.
         """

@@ -56,6 +56,7 @@ def camera_text(fit: "Fit", path: Path) -> str:
     rest = {key: one for key, one in estimates.items() if key not in used}
     lines += _list("Other estimates", [f"{key}: {words(one)}" for key, one in rest.items()])
     lines += _list("Not explained by the model", fit.unexplained)
+    lines += _list("Not fitted", fit.failed)
     lines += _list("Not known from these shots", fit.unknown)
     return "\n".join(lines) + "\n"
 

@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -60,6 +61,7 @@ class Fit:
         name: Make and model that the files state, or None.
         lines: Lines about the shots: how many of each kind, and which were not used.
         noise: The noise by ISO speed; empty without dark frames and flats.
+        failed: Lines: parts that could not be fitted, with the reason and the shots to take instead.
     """
 
     parts: tuple[Part, ...]
@@ -67,6 +69,7 @@ class Fit:
     name: str | None = None
     lines: tuple[str, ...] = ()
     noise: tuple[IsoFit, ...] = field(default=(), repr=False)
+    failed: tuple[str, ...] = ()
 
     __repr__ = short_repr
 
@@ -198,28 +201,42 @@ def fit_camera(
     base = os.fspath(base) if base is not None else _base_for(first)
     camera = open_camera(base)
     _check_letters(camera, first)
-    parts, fits = [], []
-    if by_kind.get("dark") or by_kind.get("flat"):
-        darks_, flats_ = by_kind.get("dark", []), by_kind.get("flat", [])
-        fits = fit_isos(darks_, flats_)
-        parts.append(_fit_to_base(noise_part(fits, darks_ + flats_), camera))
+    parts, fits, failures = [], [], {}
+    darks, flats = by_kind.get("dark", []), by_kind.get("flat", [])
+    if darks or flats:
+        with _kept(failures, "noise"):
+            fits = fit_isos(darks, flats)
+            parts.append(_fit_to_base(noise_part(fits, darks + flats), camera))
     else:
         parts.append(Part("noise", unknown=("noise: no dark frames and flats",)))
     known = _known(camera, first, fits, options or {})
     for kind in ORDER:
         chosen = [shot for shot in shots if shot.kind == kind]
         if chosen:
-            found = _other_parts(kind, chosen, known)
-            parts += found
-            more = shared_results(kind, chosen, found[0], known)
-            known = replace(known, shared={**known.shared, **more})
+            with _kept(failures, kind):
+                found = _other_parts(kind, chosen, known)
+                parts += found
+                more = shared_results(kind, chosen, found[0], known)
+                known = replace(known, shared={**known.shared, **more})
+    if failures and not any(part.settings or part.estimates for part in parts):
+        raise next(iter(failures.values()))
     others = by_kind.get("other", [])
     if others:
         parts.append(Part("other shots", unknown=(_other_line(others),)))
     counts = [f"{len(found)} of {kind}" for kind, found in by_kind.items()]
     lines = (f"frames: {', '.join(counts)}", *_notes(summaries))
     name = next((one.frame.camera for one in summaries if one.frame.camera), None)
-    return Fit(tuple(parts), base, name, lines, tuple(fits))
+    failed = tuple(f"{kind}: {error}" for kind, error in failures.items())
+    return Fit(tuple(parts), base, name, lines, tuple(fits), failed)
+
+
+@contextmanager
+def _kept(failures, kind):
+    """Keep the error of a part's frames in a dictionary, so that the other parts are fitted."""
+    try:
+        yield
+    except (BadData, BadFile) as error:
+        failures[kind] = error
 
 
 def _summaries(shots):

@@ -58,6 +58,7 @@ def fit_page(fit: "Fit", file_name: str) -> str:
             "All tests passed: the model explains these frames.",
             True,
         ),
+        *([list_lines("Not fitted", fit.failed, "", True)] if fit.failed else []),
         list_lines("Not known from these shots", fit.unknown, "Nothing is left out."),
         "<h2>Estimates</h2><p>With intervals of 95 % confidence.</p>",
         _table(fit.estimates),

@@ -138,6 +138,19 @@ def test_wrong_shots_are_refused_in_one_line(folder, tmp_path, capsys):
     assert "JPEG" in line and "shoot raw" in line
 
 
+def test_a_part_that_fails_does_not_end_the_fit(folder, tmp_path, capsys):
+    out = tmp_path / "mine.toml"
+    flat, dark = folder / "flats/f0.5_0.npz", folder / "darks/d0.001_0.npz"
+    assert main(["fit", str(folder), "--edges", str(flat), "-o", str(out)]) == 1
+    printed = capsys.readouterr().out
+    assert printed.count("not fitted: edges: f0.5_0.npz: ") == 1
+    text, page = out.read_text(), (tmp_path / "mine.html").read_text()
+    assert "read_e" in text and "edges: f0.5_0.npz" in text and "Not fitted" in page
+    found = gs.fit(darks=dark, flats=sorted(folder.glob("flats/f5.0*")), shading=flat)
+    (line,) = found.failed  # one dark frame and clipped flats
+    assert line.startswith("noise: ") and found.settings["optics"]
+
+
 def test_a_moved_tripod_is_refused(tmp_path, capsys):
     camera, rng = replace(CAMERA, shape=(120, 130)), np.random.default_rng(3)
     maps = draw_maps(camera)
