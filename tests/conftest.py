@@ -151,7 +151,11 @@ ONE_OF = {
     "test_highlights_by_the_border_of_a_displaced_view_are_those_of_its_picture": 2,
     "test_variance_is_that_of_drawn_values": 2,
     "test_stated_error_of_tables_holds": 2,
+    "test_stage_agrees_with_its_reference": 2,
 }
+
+# Tests of 1.5 s and more on one core, most of which have shorter siblings: slow tests. Measured with empty caches.
+LONG = frozenset((HERE / "long.txt").read_text("utf-8").splitlines())
 
 
 def pytest_ignore_collect(collection_path, config):
@@ -166,13 +170,15 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark as slow: whole frames on a second CPU device, if the first is tested too; combinations beyond `ONE_OF`.
+    """Mark as slow: whole frames on a second CPU device, if the first is tested too; combinations beyond `ONE_OF`; `LONG`.
 
     And the first cases of stages, but for `-m quick`: another test runs all cases.
     """
     named, counted = {}, {}
     for item in items:
         if getattr(item, "originalname", "") == FIRST_CASES and config.option.markexpr != "quick":
+            item.add_marker("slow")
+        if item.nodeid.removeprefix("tests/") in LONG:
             item.add_marker("slow")
         if item.get_closest_marker("quick"):
             assert any(item.path.is_relative_to(place) for place in QUICK), item.nodeid

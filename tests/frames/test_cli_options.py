@@ -535,7 +535,8 @@ def record(monkeypatch):
             return [path]
 
         lines = [said(files, *settings)]
-        return SimpleNamespace(lines=lines, estimates={}, unexplained=(), unknown=(), write=write)
+        none = {"estimates": {}, "unexplained": (), "unknown": (), "failed": ()}
+        return SimpleNamespace(lines=lines, **none, write=write)
 
     def compared(camera, *files, **settings):
         finding = gpusim.fit.verdicts.Finding("all", "none", 0.0, 0.0, 0.0, 1.0, "agrees")

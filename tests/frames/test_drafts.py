@@ -56,7 +56,7 @@ def numpy(loop):
 def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     """Leaves within twice the tolerance; points of light, which show all of a blur, a fifth as wrong as no new frame.
 
-    The truth is the exact frame, of every wavelength and of one transform, by which no draft is made.
+    Lenses that are not round are sketched: about 1 % of the light is beyond the kernels. The truth is the exact frame, of every wavelength and of one transform, by which no draft is made.
     """
     before, after = (camera_with(BASE, optics=turned) for turned in TURNS[name])
     scene = gs.chart(kind, size=(360, 288))
@@ -64,9 +64,12 @@ def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     old = numpy(loop).copy()
     draft = numpy(loop.update(camera=after, drafts=True)).copy()
     assert loop.plan.is_draft and loop.plan.verdict is None
+    is_sketched = loop.plan.find(Sketch) is not None
+    assert is_sketched == (name in ("coma", "astigmatism", "blades", "ring"))
     truth = numpy(gs.Simulator(after, device="opencl").loop(scene))
     wrong, turned = (np.sqrt(np.mean((found - truth) ** 2)) for found in (draft, old))
-    assert wrong <= (2 * TOLERANCE * truth.mean() if kind == "deadleaves" else turned / 5)
+    part = 0.01 if is_sketched else 2 * TOLERANCE
+    assert wrong <= (part * truth.mean() if kind == "deadleaves" else turned / 5)
     settled = numpy(loop.update(camera=after))
     assert not loop.plan.is_draft
     assert np.array_equal(

@@ -29,6 +29,13 @@ def test_collecting_the_host_s_tests_loads_no_driver():
     assert result.stdout.splitlines()[-1] == "0 []", result.stdout[-2000:] + result.stderr
 
 
+def test_long_tests_exist():
+    tests = Path(__file__).parents[1]
+    for line in (tests / "long.txt").read_text("utf-8").splitlines():
+        path, name = line.partition("[")[0].split("::")[:2]
+        assert f"def {name}(" in (tests / path).read_text("utf-8"), line
+
+
 @pytest.mark.parametrize(
     "use",
     [
