@@ -170,7 +170,7 @@ def pytest_ignore_collect(collection_path, config):
 
 
 def pytest_collection_modifyitems(config, items):
-    """Mark as slow: whole frames on a second CPU device, if the first is tested too; combinations beyond `ONE_OF`; `LONG`.
+    """Mark as slow: `LONG`; whole frames on a second CPU device, if the first is tested; combinations beyond `ONE_OF`.
 
     And the first cases of stages, but for `-m quick`: another test runs all cases.
     """

@@ -56,7 +56,8 @@ def numpy(loop):
 def test_a_draft_is_near_what_is_planned_for_the_lens(name, kind):
     """Leaves within twice the tolerance; points of light, which show all of a blur, a fifth as wrong as no new frame.
 
-    Lenses that are not round are sketched: about 1 % of the light is beyond the kernels. The truth is the exact frame, of every wavelength and of one transform, by which no draft is made.
+    Lenses that are not round are sketched: about 1 % of the light is beyond the kernels.
+    The truth is the exact frame, of every wavelength and of one transform, by which no draft is made.
     """
     before, after = (camera_with(BASE, optics=turned) for turned in TURNS[name])
     scene = gs.chart(kind, size=(360, 288))
