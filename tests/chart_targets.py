@@ -1,12 +1,17 @@
 """ColorCheckers as random cameras see them, in plain NumPy: shares no code with gpusim's fit."""
 
 import numpy as np
+from scipy.special import erf
 
 WAVES = np.arange(390.0, 721.0, 5.0)
 
 
-def random_camera(rng):
-    """Quantum efficiencies of R, G and B at WAVES: skewed bells with crosstalk behind an infrared cut, (3, L)."""
+def random_camera(rng, letters="RGB"):
+    """Quantum efficiencies of channels at WAVES behind an infrared cut, (C, L).
+
+    R, G and B are skewed bells with crosstalk. Others are a bare detector (W, and Y by itself), or one behind a filter
+    that takes away blue (Y), red (C) or green (M).
+    """
     curves = []
     for middle, width in ((600, 32), (535, 38), (460, 30)):
         centre, left = middle + rng.normal(0, 7), width * rng.uniform(0.85, 1.25)
@@ -21,7 +26,30 @@ def random_camera(rng):
     edge = rng.uniform(655, 690)
     cut = 1 / (1 + np.exp((WAVES - edge) / rng.uniform(5, 9)))
     low = 1 / (1 + np.exp((rng.uniform(400, 415) - WAVES) / 5))
-    return (mixing @ curves + 0.01) * cut * low
+    seen = dict(zip("RGB", (mixing @ curves + 0.01) * cut * low, strict=True))
+    if set(letters) <= set("RGB"):
+        return np.array([seen[letter] for letter in letters])
+    detector = rng.uniform(0.6, 0.8) * np.exp(
+        -0.5 * np.abs((WAVES - rng.normal(560, 15)) / rng.uniform(120, 160)) ** rng.uniform(2, 3)
+    )
+    detector *= cut * low
+    for letter in sorted(set(letters) - set("RGB")):
+        seen[letter] = detector * (1 if letter == "W" or letters == "Y" else dye(rng, letter))
+    return np.array([seen[letter] for letter in letters])
+
+
+def dye(rng, letter):
+    """Transmission of a yellow, cyan or magenta filter at WAVES."""
+    middle = {"Y": 505, "C": 585, "M": 540}[letter] + rng.normal(0, 7)
+    side, other = rng.uniform(12, 24, 2)
+    if letter == "M":
+        width, depth = rng.uniform(28, 40), rng.uniform(0.7, 0.9)
+        lost = np.where(WAVES < middle, width, width * other / side)
+        lost = depth * np.exp(-0.5 * np.abs((WAVES - middle) / lost) ** 2.4)
+    else:
+        at = (WAVES - middle) * (1 if letter == "C" else -1)
+        lost = rng.uniform(0.85, 0.95) * 0.5 * (1 + erf(at / np.where(at < 0, side, other) / 1.4))
+    return rng.uniform(0.85, 0.97) * (1 - lost) * (1 + rng.normal(0, 0.03) * (WAVES - 550) / 150)
 
 
 def photons(name):
@@ -53,10 +81,12 @@ def responses(camera, light, surfaces):
     return surfaces @ weights.T / weights.sum(1).max()
 
 
-def draw(patch, shape, cfa, rng, turn=0.1, fill=0.7, electrons=8000, black=64, scale=0.25):
+def draw(
+    patch, shape, cfa, rng, turn=0.1, fill=0.7, electrons=8000, black=64, scale=0.25, order="RGBY"
+):
     """A mosaic of a turned chart in perspective on grey, [DN].
 
-    patch: responses (24, C) of channels in the order RGB. cfa: rows of letters.
+    patch: responses (24, C) of channels in an order. cfa: rows of letters.
     """
     rows, cols = shape
     y, x = np.indices(shape)
@@ -72,7 +102,7 @@ def draw(patch, shape, cfa, rng, turn=0.1, fill=0.7, electrons=8000, black=64, s
     on_chart = (u > -0.7) & (u < 5.7) & (v > -0.7) & (v < 3.7)
     number = np.where(on_patch, row * 6 + column, np.where(on_chart, 24, 25))
     table = np.vstack([patch, 0.5 * patch[23], 0.9 * patch[21]])
-    letters = np.array([["RGBY".index(c) for c in line] for line in cfa])
+    letters = np.array([[order.index(c) for c in line] for line in cfa])
     which = np.tile(letters, (rows // len(cfa) + 1, cols // len(cfa[0]) + 1))[:rows, :cols]
     seen = rng.poisson(electrons * table[number, which]) + rng.normal(0, 3, shape)
     return np.rint(seen * scale + black)

@@ -18,6 +18,19 @@ def falloff(rng, shape, is_round=True):
     return seen / seen[rows // 2, cols // 2]
 
 
+def through_mosaic(pictures, cfa):
+    """Pixels behind their filters, each with a share of the light. pictures: of each channel by letter."""
+    shares = {"R": 0.6, "B": 0.5, "C": 0.8, "M": 0.7}
+    shape = next(iter(pictures.values())).shape
+    period = np.array([list(row) for row in cfa])
+    letters = np.tile(period, [n // m + 1 for n, m in zip(shape, period.shape, strict=True)])
+    letters = letters[: shape[0], : shape[1]]
+    return sum(
+        np.where(letters == one, shares.get(one, 1.0) * picture, 0)
+        for one, picture in pictures.items()
+    )
+
+
 def expose_flat(rng, response, electrons=6000, black=64, gain=0.25, prnu=0.008):
     """Raw values [DN] with shot and read noise and uneven pixels."""
     seen = electrons * response * (1 + rng.normal(0, prnu, response.shape))

@@ -21,6 +21,9 @@ PINNED = 1e12  # weight of a parameter that is not fitted
 ROBUST = 2.0  # robust standard deviations from which a corner counts less (Huber)
 ODD = 4.0  # times the median residual of the views, from which one is not used
 LEAST_ODD = 0.3  # [pixel]
+GRID = 17  # places along a side of the frame at which the error of the whole model is looked up
+DRAWS = 400
+NOISE_FREEDOM = 1000  # degrees of freedom of the corners' noise: as good as known
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +34,9 @@ class Geometry:
         matrix: Camera matrix, (3, 3).
         coefficients: k1, k2, p1, p2, k3.
         errors: Half widths of the 95 % intervals of fx, fy, cx, cy and the coefficients, (9,).
+        roots: Tables (n, 9) whose squares, root.T @ root, are covariances of these nine: from the corners' noise, and
+            from the views' differences if there are enough.
+        shift: The nine with k3 less the nine without it, (9,); 0 if k3 is used.
         residuals: Corners less the model [pixel], one (N, 2) for each view.
         has_focal: Whether focal lengths and principal point were fitted.
     """
@@ -38,10 +44,48 @@ class Geometry:
     matrix: np.ndarray
     coefficients: np.ndarray
     errors: np.ndarray
+    roots: tuple[np.ndarray, ...]
+    shift: np.ndarray
     residuals: list[np.ndarray]
     has_focal: bool
 
     __repr__ = short_repr
+
+    @property
+    def inner(self) -> np.ndarray:
+        """fx, fy, cx, cy and the coefficients, (9,)."""
+        return np.append(self.matrix[[0, 1, 0, 1], [0, 1, 2, 2]], self.coefficients)
+
+
+def displacement_error(found: Geometry, size: tuple[int, int]) -> tuple[float, float, float]:
+    """Return the largest error of the distortion over the frame: median and 95 % interval [pixel].
+
+    Cameras that the views allow as well are drawn. A turn of the camera is no error.
+
+    Args:
+        found: The geometry.
+        size: Columns and rows of the frame.
+
+    Returns:
+        Median, and the ends of the interval.
+    """
+    cv2 = require_cv2()
+    x, y = (np.linspace(0, n - 1, GRID) for n in size)
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 1, 2)
+    end = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 200, 1e-12
+    rays = cv2.undistortPoints(places, found.matrix, found.coefficients, criteria=end)
+    rays = np.column_stack([rays.reshape(-1, 2), np.ones(len(rays))])
+    _, slopes = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), found.matrix, found.coefficients)
+    turns, slopes = slopes[:, :3], slopes[:, 6:15]
+    slopes = slopes - turns @ np.linalg.lstsq(turns, slopes, rcond=None)[0]
+    random = np.random.default_rng(1)
+    best = np.zeros(3)
+    for root, freedom in zip(found.roots, (NOISE_FREEDOM, len(found.residuals) - 1), strict=False):
+        wide = np.sqrt(freedom / random.chisquare(freedom, (DRAWS, 1)))  # Student's t
+        drawn = wide * random.normal(size=(DRAWS, len(root))) @ root + found.shift
+        away = np.hypot(*np.moveaxis((drawn @ slopes.T).reshape(DRAWS, -1, 2), -1, 0)).max(1)
+        best = np.maximum(best, np.percentile(away, (50, 2.5, 97.5)))
+    return float(best[0]), float(best[1]), float(best[2])
 
 
 def calibrate(boards: Sequence[Board], size: tuple[int, int], focal: float) -> Geometry:
@@ -65,7 +109,9 @@ def calibrate(boards: Sequence[Board], size: tuple[int, int], focal: float) -> G
     clear = np.sqrt(np.log(sum(2 * len(one.places) for one in boards))) / 1.96
     if abs(found.coefficients[4]) > clear * found.errors[4]:
         return found
-    return replace(_solve(boards, size, focal, False), errors=found.errors)
+    plain = _solve(boards, size, focal, False)
+    shift = found.inner - plain.inner
+    return replace(plain, errors=found.errors, roots=found.roots, shift=shift)
 
 
 def _solve(boards, size, focal, has_k3):
@@ -96,7 +142,8 @@ def _solve(boards, size, focal, has_k3):
         _view(board, inner, pose)[0].reshape(-1, 2)
         for board, pose in zip(boards, poses, strict=True)
     ]
-    return Geometry(matrix, inner[4:], _reach(parts, total, has_focal), left, has_focal)
+    reach, roots = _errors(parts, total, has_focal)
+    return Geometry(matrix, inner[4:], reach, roots, np.zeros(9), left, has_focal)
 
 
 def _start(boards, size, focal, has_focal):
@@ -159,13 +206,21 @@ def _normal_system(left, slopes, noise):
     return normal, free.T @ (weight * left), step, slope
 
 
-def _reach(parts, total, has_focal):
-    """Return half widths of 95 % intervals: the jackknife over views, or the corners' noise if it is larger."""
-    plain = np.sqrt(np.diag(np.linalg.inv(total)))
+def _errors(parts, total, has_focal):
+    """Return half widths of 95 % intervals, and the roots of the covariances behind them.
+
+    The jackknife over views, or the corners' noise if it is larger.
+    """
+    covariance = np.linalg.inv(total)
+    plain = 1.96 * np.sqrt(np.diag(covariance))
+    values, vectors = np.linalg.eigh(covariance / np.outer(plain, plain))
+    root = (vectors * np.sqrt(np.maximum(values, 0))).T * plain
     if not has_focal:
-        return 1.96 * plain
+        return plain, (root,)
     away = np.stack([np.linalg.solve(total - normal, pull) for normal, pull, *_ in parts])
-    return np.maximum(jackknife_reach(away), 1.96 * plain)
+    count = len(away)
+    spread = np.sqrt((count - 1) / count) * (away - away.mean(0))
+    return np.maximum(jackknife_reach(away), plain), (root, spread)
 
 
 def jackknife_reach(values: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ from gpusim.fit.bundle import (
     Geometry,
     calibrate,
     choose_views,
+    displacement_error,
     jackknife_reach,
 )
 from gpusim.fit.estimate import Estimate, Part, Plot
@@ -24,6 +25,8 @@ ASSUMED_FOCAL = 1.2  # times the longer side, if neither views nor files tell it
 COVERED = 0.85  # of the way to the corner that the board should reach
 WORST = 1.0  # [pixel] RMS residual of a board that is no plane, or a lens beyond the model
 SYSTEMATIC = 4.0  # standard errors of the mean residual of a cell that are no chance
+PRECISE = 0.2  # [pixel] error of the model that is not worth a line
+ERROR = "largest error of the distortion in the frame"
 CELLS = 6  # along a side of the frame
 
 
@@ -83,13 +86,19 @@ def fit_distortion(
         )
     sources = tuple(one.name for one in boards)
     lateral = _lateral_color(boards, found, main_channel(every[0].channels), sources)
+    error = Estimate(
+        *displacement_error(found, (cols, rows)),
+        "pixel",
+        sources,
+        "beyond the boards the model is continued",
+    )
     return Part(
         "distortion",
-        _estimates(found, sources) | lateral,
+        _estimates(found, sources) | {ERROR: error} | lateral,
         _settings(found, (cols, rows), lateral, main_channel(every[0].channels)),
         _plots(boards, found, (cols, rows)),
         _describe_misfit(boards, found, (rows, cols), spread),
-        tuple(faults) + _unknown(boards, found, (rows, cols), focal_length),
+        tuple(faults) + _unknown(boards, found, (rows, cols), focal_length, error.high),
     )
 
 
@@ -184,7 +193,7 @@ def _reach(boards: list[Board], shape):
     return float(away.max() / (np.hypot(*shape) / 2))
 
 
-def _unknown(boards, found: Geometry, shape, focal_length):
+def _unknown(boards, found: Geometry, shape, focal_length, error):
     lines = []
     if not found.has_focal:
         source = "the files'" if focal_length else "a typical one"
@@ -200,7 +209,13 @@ def _unknown(boards, found: Geometry, shape, focal_length):
         )
     if (reach := _reach(boards, shape)) < COVERED:
         lines.append(
-            f"distortion beyond {reach:.2f} of the way to the corner: no board there; move it into the corners"
+            f"distortion beyond {reach:.2f} of the way to the corner: no board there, the model's error may be "
+            f"{error:.2g} pixel; shoot views that reach the corners"
+        )
+    elif error > PRECISE:
+        lines.append(
+            f"distortion: the model's error may be {error:.2g} pixel somewhere in the frame; shoot more views, also in "
+            "all corners"
         )
     if boards[0].offsets:
         lines.append(

@@ -28,7 +28,6 @@ from gpusim.fit.planes import (
 )
 from gpusim.io.raw.raw_frame import RawFrame
 
-STRAIGHTEST = 1.0  # periods of the mosaic that an edge must cross along its length
 SAME = 0.3  # of an edge's length by which two frames' targets may be apart and still be one
 NOISIEST = 0.2  # noise of a pixel over the step
 UNKNOWN_F_NUMBER = 4.0
@@ -147,11 +146,11 @@ def _places(target: _Target, scale, aperture):
 
 def _usable(edges, frame, clipped):
     """Return the edges that can be measured, and why others cannot."""
-    period = max(len(frame.cfa), len(frame.cfa[0]))
+    crossed = {is_upright: _widest_gap(frame, is_upright) for is_upright in (True, False)}
     used, faults, name = [], [], frame.name or "edges"
     for edge in edges:
         degrees = f"{np.degrees(edge.tilt):.2g} degrees from the pixels' axis"
-        if edge.length * np.tan(edge.tilt) < STRAIGHTEST * period:
+        if edge.length * np.tan(edge.tilt) < crossed[edge.is_upright]:
             faults.append(
                 f"{name}: an edge is too straight, {degrees}; turn the target by about 5 degrees"
             )
@@ -166,6 +165,20 @@ def _usable(edges, frame, clipped):
         else:
             used.append(edge)
     return used, faults
+
+
+def _widest_gap(frame, is_upright):
+    """Return the most pixels from a column (or row) with a channel's pixels to the next one.
+
+    An edge that crosses as many has all distances to the channel's pixels.
+    """
+    period = np.array([list(row) for row in frame.cfa])
+    period = period if is_upright else period.T
+    gaps = []
+    for letter in frame.channels:
+        at = np.flatnonzero((period == letter).any(axis=0))
+        gaps.append(np.diff(np.append(at, at[0] + period.shape[1])).max())
+    return int(max(gaps))
 
 
 def _clipped_share(edge: FoundEdge, clipped):

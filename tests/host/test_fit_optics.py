@@ -1,5 +1,7 @@
 """Fits of optics and colour on small frames: what they find, and what they refuse in one line."""
 
+from dataclasses import replace
+
 import board_targets as boards
 import edge_targets as edges
 import flat_targets as flats
@@ -48,6 +50,13 @@ def test_edges_give_their_mtf50():
         assert one.value == pytest.approx(truth, rel=0.02)
         assert one.low < truth < one.high
     assert part.settings["optics"]["model"] == "measured"
+
+
+def test_edges_of_a_mosaic_with_a_long_period():
+    """X-Trans has each colour in every column: an edge need not cross its period of 6 pixels."""
+    cfa = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
+    part = fit_sharpness(replace(edge_frame(), cfa=cfa), pitch=3e-6, f_number=2.0)
+    assert {key.split()[4] for key in part.estimates} == set("RGB")
 
 
 @pytest.mark.parametrize(

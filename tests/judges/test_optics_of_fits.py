@@ -25,6 +25,8 @@ SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
 DISTORTION_SEEDS = (*range(5001, 5007), *range(5008, 5014))
 SHADING_SEEDS = range(6020, 6040)
 BLACK = np.array([[64.0]])
+MAIN = "GYWCRBM"  # channels, the one of most light first
+WAVES = {"R": 605, "G": 535, "B": 460, "Y": 560, "C": 500, "M": 550, "W": 560}  # [nm] of channels
 ACROSS = 3  # squares across and down a frame of edges
 
 pytestmark = pytest.mark.slow
@@ -34,26 +36,38 @@ def share(flags):
     return np.mean(np.concatenate([np.atleast_1d(one) for one in flags]))
 
 
-def edge_frames(seed, count=3):
-    """Frames of 3 x 3 slanted squares, their OTFs, pitch and f-number. Every third camera is a Bayer one."""
+def edge_frames(seed, count=3, cfa=None):
+    """Frames of 3 x 3 slanted squares, their OTFs by channel, pitch and f-number.
+
+    Without a mosaic every third camera is a Bayer one, whose channels are alike; with one each has its own wavelength
+    and share of the light.
+    """
     rng = np.random.default_rng(seed)
     number, pitch = rng.uniform(1.8, 5.6), rng.uniform(1.2e-6, 4e-6)
-    has_mosaic = seed % 3 == 0
-    cutoff = (535e-9 if has_mosaic else 560e-9) * number / pitch
+    is_plain = cfa is None
+    cfa = cfa or (("RG", "GB") if seed % 3 == 0 else ("Y",))
+    main = next(letter for letter in MAIN if letter in "".join(cfa))
+    letters = [main] if is_plain else sorted(set("".join(cfa)))
+    cutoff = WAVES[main] * 1e-9 * number / pitch
     if cutoff > 1.3:
         pitch *= cutoff / 1.3
         cutoff = 1.3
     pattern = edges.transform(edges.square(np.radians(rng.uniform(4, 9)), rng.uniform(70, 80)))
     size = ACROSS * edges.TILE
-    light, otfs = np.zeros((size, size)), []
+    pictures = {letter: np.zeros((size, size)) for letter in letters}
+    otfs = {letter: [] for letter in letters}
     for row in range(ACROSS):
         for col in range(ACROSS):
-            otf = edges.aberrated_otf(cutoff, rng.normal(0, [0.25, 0.12, 0.08, 0.08, 0.12]))
+            path = rng.normal(0, [0.25, 0.12, 0.08, 0.08, 0.12])
             tile = np.s_[
                 row * edges.TILE : (row + 1) * edges.TILE, col * edges.TILE : (col + 1) * edges.TILE
             ]
-            light[tile] = 0.2 + 0.6 * edges.expose(pattern, otf)
-            otfs.append(otf)
+            for letter in letters:
+                wave = WAVES[letter] / WAVES[main]
+                otf = edges.aberrated_otf(cutoff * wave, path / wave)
+                pictures[letter][tile] = 0.2 + 0.6 * edges.expose(pattern, otf)
+                otfs[letter].append(otf)
+    light = pictures[main] if is_plain else flats.through_mosaic(pictures, cfa)
     frames = [
         RawFrame(
             np.rint(
@@ -61,7 +75,7 @@ def edge_frames(seed, count=3):
                 + rng.normal(0, 1, light.shape)
                 + 64
             ),
-            ("RG", "GB") if has_mosaic else ("Y",),
+            cfa,
             f"edges_{k}.dng",
             black_level=BLACK,
             white_level=4095,
@@ -85,20 +99,19 @@ def simulated_mtf50(spread, pitch, row, col, shape, wave, is_across):
     return float(np.interp(0.5, [seen[k], seen[k - 1]], [f[k], f[k - 1]]))
 
 
-def judge_sharpness(seed):
+def judge_sharpness(seed, cfa=None):
     """Relative errors of MTF50 of the edges' fit and of the simulated point spreads, and hits of intervals."""
-    frames, otfs, pitch, number = edge_frames(seed)
+    frames, otfs, pitch, number = edge_frames(seed, cfa=cfa)
     part = fit_sharpness(frames, pitch=pitch, f_number=number)
     spread = part.settings["optics"]["psf"]
-    letter, wave = ("G", 535) if frames[0].cfa != ("Y",) else ("Y", 560)
     errors, hits, simulated = [], [], []
     for key, one in part.estimates.items():
-        if f" of {letter} " not in key:
-            continue
         words = key.replace(",", "").split()
-        row, col = int(words[-3]), int(words[-1])
-        is_across = words[2] == "rows"
-        truth = edges.mtf50(otfs[row // edges.TILE * ACROSS + col // edges.TILE], is_across)
+        letter, row, col = words[4], int(words[-3]), int(words[-1])
+        if letter not in otfs:
+            continue
+        is_across, wave = words[2] == "rows", WAVES[letter]
+        truth = edges.mtf50(otfs[letter][row // edges.TILE * ACROSS + col // edges.TILE], is_across)
         errors.append(one.value / truth - 1)
         hits.append(one.low <= truth <= one.high)
         middle = [(at // edges.TILE + 0.5) * edges.TILE - 0.5 for at in (row, col)]
@@ -121,8 +134,8 @@ def test_mtf50_of_random_lenses():
     assert hits.mean() > 0.9
 
 
-def judge_distortion(seed):
-    """Largest displacement over the frame [pixel] after the best rotation, and hits of intervals."""
+def judge_distortion(seed, cfa=("RG", "GB")):
+    """Displacement over the frame [pixel] after the best rotation, hits of intervals, errors of lateral colour."""
     rng = np.random.default_rng(seed)
     cols, rows = 640, 480
     focal = rng.uniform(0.8, 1.6) * cols
@@ -141,9 +154,11 @@ def judge_distortion(seed):
             0,
         ]
     )
-    excess = {"R": rng.normal(0, 8e-4), "G": 0.0, "B": rng.normal(0, 8e-4)}
+    main, *others = [letter for letter in MAIN if letter in "".join(cfa)]
+    excess = dict(zip(others, rng.normal(0, 8e-4, len(others)), strict=True)) | {main: 0.0}
     frames = [
-        board_frame(rng, (cols, rows), matrix, truth, excess, f"grid_{k}.dng") for k in range(10)
+        board_frame(rng, (cols, rows), matrix, truth, excess, cfa, f"grid_{k}.dng")
+        for k in range(10)
     ]
     part = fit_distortion(frames)
     found = part.settings["optics"]["calibration"]
@@ -168,26 +183,24 @@ def judge_distortion(seed):
     for name, value in zip(("fx", "fy", "cx", "cy"), matrix, strict=True):
         one = part.estimates[f"optics.calibration.{name}"]
         hits.append(one.low <= value <= one.high)
-    for letter in "RB":
+    for letter in others:
         one = part.estimates[f"optics.lateral_color of {letter}"]
         hits.append(one.low <= excess[letter] <= one.high)
         lateral.append(abs(one.value - excess[letter]) * np.hypot(cols, rows) / 2)
     return apart, np.array(hits), np.array(lateral)
 
 
-def board_frame(rng, size, matrix, truth, excess, name):
-    """A Bayer frame of a board: each channel's own view, noise."""
+def board_frame(rng, size, matrix, truth, excess, cfa, name):
+    """A frame of a board: each channel's own view, noise."""
     state, planes = rng.bit_generator.state, {}
-    for letter in "RGB":
+    for letter in excess:
         rng.bit_generator.state = state
         planes[letter] = boards.random_view(
             rng, size, matrix, truth, (13, 9), excess=excess[letter], fine=2
         )
-    raw = planes["G"].copy()
-    raw[::2, ::2] = planes["R"][::2, ::2] * 0.6
-    raw[1::2, 1::2] = planes["B"][1::2, 1::2] * 0.5
+    raw = flats.through_mosaic(planes, cfa)
     seen = rng.poisson(raw * 6000) * 0.5 + rng.normal(0, 2, raw.shape) + 64
-    return RawFrame(np.rint(seen), ("RG", "GB"), name, black_level=BLACK, white_level=4095)
+    return RawFrame(np.rint(seen), cfa, name, black_level=BLACK, white_level=4095)
 
 
 def test_distortion_of_random_lenses():
@@ -206,14 +219,17 @@ def test_distortion_of_random_lenses():
     assert lateral.max() < 0.2
 
 
-def judge_shading(seed):
+def judge_shading(seed, cfa=None):
     """Largest relative error of the camera file's fall-off, and hits of the corners' intervals."""
+    is_plain = cfa is None
     rng = np.random.default_rng(seed)
     shape = int(rng.integers(400, 700)), int(rng.integers(500, 900))
     truth = flats.falloff(rng, shape, seed % 2 == 0)
-    cfa = (("RG", "GB"), ("Y",), ("GRB", "BGR"))[seed % 3]
+    cfa = cfa or (("RG", "GB"), ("Y",), ("GRB", "BGR"))[seed % 3]
+    letters = set("".join(cfa))
+    light = truth if is_plain else flats.through_mosaic(dict.fromkeys(letters, truth), cfa)
     frames = [
-        RawFrame(flats.expose_flat(rng, truth), cfa, f"shading_{k}.dng", black_level=BLACK)
+        RawFrame(flats.expose_flat(rng, light), cfa, f"shading_{k}.dng", black_level=BLACK)
         for k in range(4)
     ]
     part = fit_shading(frames)
@@ -262,7 +278,8 @@ def other_surfaces():
 def color_differences(camera, fitted, light):
     """CIEDE2000 between responses of the true and of the fitted camera to other surfaces, in CIELAB by one matrix.
 
-    The matrix takes the true camera's white-balanced responses to XYZ, least squares. Exposure is matched in G.
+    The matrix takes the true camera's white-balanced responses to XYZ, least squares. Exposure is matched in the
+    strongest channel.
     """
     import colour
 
@@ -275,7 +292,8 @@ def color_differences(camera, fitted, light):
     wanted, white = surfaces @ weights.T / weights[1].sum(), weights.sum(1) / weights[1].sum()
     seen, again = (charts.responses(one, light, surfaces) for one in (camera, fitted))
     balance = charts.responses(camera, light, np.ones((1, len(charts.WAVES))))
-    again = again * (seen[:, 1] @ again[:, 1]) / (again[:, 1] @ again[:, 1])
+    main = seen.sum(0).argmax()
+    again = again * (seen[:, main] @ again[:, main]) / (again[:, main] @ again[:, main])
     matrix = np.linalg.lstsq(seen / balance, wanted, rcond=None)[0]
     lab = [
         colour.XYZ_to_Lab(np.maximum(one / balance @ matrix, 0), colour.XYZ_to_xy(white))
@@ -284,26 +302,30 @@ def color_differences(camera, fitted, light):
     return colour.delta_E(*lab, method="CIE 2000")
 
 
-def judge_color(seed):
-    """Colour differences of other surfaces in D65, and hits of the sensitivities' peaks.
+def judge_color(seed, cfa=None):
+    """Colour differences of other surfaces in D65, and the number of lights.
 
     Every second camera has two lights. The chart's patches differ from their tables by 0.5 %.
     """
     rng = np.random.default_rng(seed)
-    camera = charts.random_camera(rng)
+    letters = "".join(letter for letter in "RGBYCMW" if letter in "".join(cfa or "RGB"))
+    camera = charts.random_camera(rng, letters)
     lights = ("D65", "2856K") if seed % 2 else ("D65",)
     frames = []
     for light in lights:
         patches = charts.responses(camera, light, charts.checker())
         patches = patches * (1 + rng.normal(0, 0.005, (24, 1)))
-        cfa = (("RG", "GB"), ("GB", "RG"), ("GR", "BG"))[seed % 3]
+        cfa = cfa or (("RG", "GB"), ("GB", "RG"), ("GR", "BG"))[seed % 3]
         turn = rng.uniform(-0.2, 0.2) + np.pi * (seed % 5 == 0)
-        values = charts.draw(patches, (360, 480), cfa, rng, turn=turn)
+        values = charts.draw(patches, (360, 480), cfa, rng, turn=turn, order=letters)
         frames.append(RawFrame(values, cfa, f"{light}.dng", black_level=BLACK, white_level=4095))
     part = fit_color(frames, lights=["D65", "A"][: len(lights)])
     table = part.settings["sensor"]["sensitivity"]
     fitted = np.array(
-        [np.interp(charts.WAVES, table["wavelengths_nm"], table[c], left=0, right=0) for c in "RGB"]
+        [
+            np.interp(charts.WAVES, table["wavelengths_nm"], table[c], left=0, right=0)
+            for c in letters
+        ]
     )
     return color_differences(camera, fitted, "D65"), len(lights)
 
