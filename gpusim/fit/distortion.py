@@ -86,7 +86,7 @@ def fit_distortion(
         )
     sources = tuple(one.name for one in boards)
     lateral = _lateral_color(boards, found, main_channel(every[0].channels), sources)
-    error = Estimate(
+    largest = Estimate(
         *displacement_error(found, (cols, rows)),
         "pixel",
         sources,
@@ -94,11 +94,11 @@ def fit_distortion(
     )
     return Part(
         "distortion",
-        _estimates(found, sources) | {ERROR: error} | lateral,
+        _estimates(found, sources) | {ERROR: largest} | lateral,
         _settings(found, (cols, rows), lateral, main_channel(every[0].channels)),
         _plots(boards, found, (cols, rows)),
         _describe_misfit(boards, found, (rows, cols), spread),
-        tuple(faults) + _unknown(boards, found, (rows, cols), focal_length, error.high),
+        tuple(faults) + _unknown(boards, found, (rows, cols), focal_length, largest.high),
     )
 
 
