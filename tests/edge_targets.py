@@ -25,19 +25,20 @@ def square(angle, side, tile=TILE, centre=(0.0, 0.0)):
 def aberrated_otf(cutoff, waves):
     """OTF of a circular pupil, as a function of (fx, fy) [cycle/pixel].
 
-    cutoff: lambda N / pitch. waves: coefficients [waves] of rho^2, x^2 - y^2, x rho^2, y rho^2 and rho^4.
+    cutoff: lambda N / pitch. waves: coefficients [waves] of rho^2, x^2 - y^2, x rho^2, y rho^2, rho^4, and 2 x y.
     """
     n, around = 64, 4
     size = n * around
     axis = (np.arange(size) - size / 2 + 0.5) / (n / 2)
     x, y = np.meshgrid(axis, axis)
     r2 = x * x + y * y
-    defocus, astigmatism, coma_x, coma_y, sphere = waves
+    defocus, astigmatism, coma_x, coma_y, sphere, lean = (*waves, 0)[:6]
     path = (
         defocus * r2
         + astigmatism * (x * x - y * y)
         + (coma_x * x + coma_y * y) * (r2 - 2 / 3)
         + sphere * r2 * r2
+        + 2 * lean * x * y
     )
     pupil = np.where(r2 <= 1, np.exp(2j * np.pi * path), 0)
     power = np.abs(np.fft.fft2(pupil)) ** 2
@@ -52,7 +53,7 @@ def aberrated_otf(cutoff, waves):
         RegularGridInterpolator(
             (shift, shift),
             part,
-            method="cubic" if size < 0 else "linear",
+            method="linear",
             bounds_error=False,
             fill_value=0,
         )

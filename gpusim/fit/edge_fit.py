@@ -212,6 +212,8 @@ class LineSpread:
     Args:
         cutoff: See `diffraction`.
         aperture: Width of the pixel's aperture along the direction over the pitch.
+        tilt: RMS angle between the edges' normals and the direction [rad].
+        turn: Mean of the angle with its sign; 0 if as many edges are turned one way as the other.
         weights: Of the mixture, shape (A,), sum 1.
         resamples: The same with one block of the edges left out each, shape (BLOCKS, A).
         residual: Distances [pixel] and residuals over the step [1] of all edges, (2, N), for plots.
@@ -221,6 +223,8 @@ class LineSpread:
 
     cutoff: float
     aperture: float
+    tilt: float
+    turn: float
     weights: np.ndarray
     resamples: np.ndarray
     residual: np.ndarray
@@ -236,9 +240,9 @@ class LineSpread:
 
     @cached_property
     def mtf50(self) -> tuple[float, float, float]:
-        """Frequency [cycle/pixel] at which the transfer with the pixel falls to half, and its 95 % interval."""
+        """Frequency [cycle/pixel] at which the transfer along the normal falls to half, and its 95 % interval."""
         f = np.linspace(0, 2, 2001)
-        table = np.abs(line_transfers(f, self.cutoff) * np.sinc(f * self.aperture))
+        table = line_transfers(f, self.cutoff) * np.sinc(f * self.aperture)
         value = falls_to_half(f, self.weights @ table)
         others = np.array([falls_to_half(f, weights @ table) for weights in self.resamples])
         count = len(others)
@@ -286,9 +290,12 @@ def fit_line(
         noise.append(edge.noise**2 / weights.sum() ** 2 / n)
     together = np.concatenate(residual, axis=1)
     is_across = abs(np.cos(edges[0].angle)) > np.sqrt(0.5)
+    turns = [(edge.angle + np.pi / 4) % (np.pi / 2) - np.pi / 4 for edge in edges]
     return LineSpread(
         cutoff,
         aperture[int(is_across)],
+        float(np.sqrt(np.mean(np.square(turns)))),
+        float(np.mean(turns)),
         weights / weights.sum(),
         own / own.sum(1, keepdims=True),
         together,

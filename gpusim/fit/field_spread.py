@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 
 from gpusim.domain.psf import PointSpread
+from gpusim.fit.edge_axes import mtf50_along_axes
 from gpusim.fit.edge_fit import (
     DISCS,
     GAUSSIANS,
@@ -126,27 +127,30 @@ def point_weights(place: Place, cutoff: float) -> np.ndarray:
     Returns:
         Weights, sum 1.
     """
-    across, down = place.across or place.down, place.down or place.across
-    assert across is not None
-    assert down is not None
-    f = np.linspace(0, min(1.5, 2.5 * max(across.mtf50[0], down.mtf50[0])), 60)[1:]
+    lines = [line for line in (place.across or place.down, place.down or place.across) if line]
+    halves = [one and one[0] for one in mtf50_along_axes(place, 0.0)]
+    ends = [line.mtf50[0] for line in lines]
+    # an edge's transfer along its normal, stretched to the MTF50 along the axis
+    stretches = [end / (half or end) for end, half in zip(ends, halves, strict=True)]
+    f = np.linspace(0, min(1.5, 2.5 * max(ends)), 60)[1:]
     zero = np.zeros_like(f)
     matrix = np.concatenate(
         [_point_transfers(f, zero, cutoff), _point_transfers(zero, f, cutoff)], axis=1
     ).T
-    wanted = np.concatenate([across.transfer(f, False), down.transfer(f, False)])
     # what counts is the transfer with the pixel, around the half most of all
-    seen = np.concatenate([across.transfer(f), down.transfer(f)])
-    trust = np.concatenate([np.abs(np.sinc(f * line.aperture)) for line in (across, down)])
-    trust = trust * (1 + 4 * np.exp(-(((seen - 0.5) / 0.15) ** 2)))
+    seen = np.concatenate(
+        [line.transfer(f * one) for line, one in zip(lines, stretches, strict=True)]
+    )
+    pixel = np.concatenate([np.sinc(f * line.aperture) for line in lines])
+    trust = 1 + 4 * np.exp(-(((seen - 0.5) / 0.15) ** 2))
     x, y, p, q = _pairs()
     shape = np.concatenate(
         [np.abs(np.log((x + 0.1) / (y + 0.1))), np.abs(np.log(p / q))]
     )  # of round ones 0
     penalty = np.diag(1e-3 * (1 + shape))
     total = np.full((1, matrix.shape[1]), 100.0)
-    system = np.vstack([matrix * trust[:, None], penalty, total])
-    aim = np.concatenate([wanted * trust, np.zeros(len(penalty)), [100.0]])
+    system = np.vstack([matrix * (pixel * trust)[:, None], penalty, total])
+    aim = np.concatenate([seen * trust, np.zeros(len(penalty)), [100.0]])
     triangle = np.asarray(np.linalg.qr(np.hstack([system, aim[:, None]]), mode="r"))
     weights = scipy.optimize.nnls(triangle[:, :-1], triangle[:, -1])[0]
     return weights / weights.sum()

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.fit.edge_axes import measure_astigmatism, mtf50_along_axes
 from gpusim.fit.edge_finding import STEEPEST, FoundEdge, find_edges
 from gpusim.fit.edge_fit import (
     EdgeSamples,
@@ -249,13 +250,14 @@ def fit_sharpness(
 def _estimates(places):
     found = {}
     for place in places:
-        for line, way in ((place.across, "along rows"), (place.down, "along columns")):
-            if line is not None:
-                value, low, high = line.mtf50
+        astigmatism = measure_astigmatism([one for one in places if one.letter == place.letter])
+        both = mtf50_along_axes(place, astigmatism)
+        for one, way in zip(both, ("along rows", "along columns"), strict=True):
+            if one is not None:
                 key = (
                     f"MTF50 {way} of {place.letter} at row {place.row:.0f}, column {place.col:.0f}"
                 )
-                found[key] = Estimate(value, low, high, "cycle/pixel", place.sources)
+                found[key] = Estimate(*one, "cycle/pixel", place.sources)
     return found
 
 
@@ -340,9 +342,9 @@ def _plots(places, shape):
             if place.letter != main:
                 continue
             words = [
-                f"{line.mtf50[0]:.3f}{sign}"
-                for line, sign in ((place.across, "↔"), (place.down, "↕"))
-                if line is not None
+                f"{one[0]:.3f}{sign}"
+                for one, sign in zip(mtf50_along_axes(place, 0.0), "↔↕", strict=True)
+                if one is not None
             ]
             axes.text(place.col, place.row, "\n".join(words), ha="center", va="center", fontsize=8)
         axes.set(xlim=(0, shape[1]), ylim=(shape[0], 0), aspect="equal")

@@ -22,6 +22,7 @@ from gpusim.io.raw.raw_frame import RawFrame
 
 HELD_OUT, CAMERAS = 1000, 20
 SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
+SHARPNESS_SEEDS = range(8000, 8020)
 DISTORTION_SEEDS = (*range(5001, 5007), *range(5008, 5014))
 SHADING_SEEDS = range(6020, 6040)
 BLACK = np.array([[64.0]])
@@ -36,11 +37,14 @@ def share(flags):
     return np.mean(np.concatenate([np.atleast_1d(one) for one in flags]))
 
 
-def edge_frames(seed, count=3, cfa=None):
+def edge_frames(seed, count=3, cfa=None, leans=False, is_turned=False):
     """Frames of 3 x 3 slanted squares, their OTFs by channel, pitch and f-number.
 
     Without a mosaic every third camera is a Bayer one, whose channels are alike; with one each has its own wavelength
     and share of the light.
+
+    leans: The lens also has astigmatism of 45 degrees.
+    is_turned: Every second frame has its squares turned the other way.
     """
     rng = np.random.default_rng(seed)
     number, pitch = rng.uniform(1.8, 5.6), rng.uniform(1.2e-6, 4e-6)
@@ -52,27 +56,35 @@ def edge_frames(seed, count=3, cfa=None):
     if cutoff > 1.3:
         pitch *= cutoff / 1.3
         cutoff = 1.3
-    pattern = edges.transform(edges.square(np.radians(rng.uniform(4, 9)), rng.uniform(70, 80)))
+    angle, side = np.radians(rng.uniform(4, 9)), rng.uniform(70, 80)
+    turns = [
+        edges.transform(edges.square(sign * angle, side))
+        for sign in ((1, -1) if is_turned else (1,))
+    ]
     size = ACROSS * edges.TILE
-    pictures = {letter: np.zeros((size, size)) for letter in letters}
+    spreads = [0.25, 0.12, 0.08, 0.08, 0.12, 0.12][: 6 if leans else 5]
+    pictures = [{letter: np.zeros((size, size)) for letter in letters} for _ in turns]
     otfs = {letter: [] for letter in letters}
     for row in range(ACROSS):
         for col in range(ACROSS):
-            path = rng.normal(0, [0.25, 0.12, 0.08, 0.08, 0.12])
+            path = rng.normal(0, spreads)
             tile = np.s_[
                 row * edges.TILE : (row + 1) * edges.TILE, col * edges.TILE : (col + 1) * edges.TILE
             ]
             for letter in letters:
                 wave = WAVES[letter] / WAVES[main]
                 otf = edges.aberrated_otf(cutoff * wave, path / wave)
-                pictures[letter][tile] = 0.2 + 0.6 * edges.expose(pattern, otf)
+                for planes, pattern in zip(pictures, turns, strict=True):
+                    planes[letter][tile] = 0.2 + 0.6 * edges.expose(pattern, otf)
                 otfs[letter].append(otf)
-    light = pictures[main] if is_plain else flats.through_mosaic(pictures, cfa)
+    lights = [
+        planes[main] if is_plain else flats.through_mosaic(planes, cfa) for planes in pictures
+    ]
     frames = [
         RawFrame(
             np.rint(
-                rng.poisson(np.maximum(light, 0) * 12000) * 0.25
-                + rng.normal(0, 1, light.shape)
+                rng.poisson(np.maximum(lights[k % len(turns)], 0) * 12000) * 0.25
+                + rng.normal(0, 1, (size, size))
                 + 64
             ),
             cfa,
@@ -99,9 +111,9 @@ def simulated_mtf50(spread, pitch, row, col, shape, wave, is_across):
     return float(np.interp(0.5, [seen[k], seen[k - 1]], [f[k], f[k - 1]]))
 
 
-def judge_sharpness(seed, cfa=None):
+def judge_sharpness(seed, **options):
     """Relative errors of MTF50 of the edges' fit and of the simulated point spreads, and hits of intervals."""
-    frames, otfs, pitch, number = edge_frames(seed, cfa=cfa)
+    frames, otfs, pitch, number = edge_frames(seed, **options)
     part = fit_sharpness(frames, pitch=pitch, f_number=number)
     spread = part.settings["optics"]["psf"]
     errors, hits, simulated = [], [], []
