@@ -15,6 +15,7 @@ TINY = 1e-12
 # differences that are still agreement; those of lines and patterns grow with these themselves
 VARIANCE_WITHIN, DIVERGENCE_WITHIN, SPECTRUM_WITHIN, CORRELATION_WITHIN = 0.02, 0.002, 0.05, 0.02
 LINES_WITHIN, FIXED_LINES_WITHIN, PATTERN_WITHIN = (0.0025, 0.2), (0.01, 0.3), (0.05, 0.1)
+DEFECTS_WITHIN = 2e-4, 0.5  # part of the pixels
 LEVEL_WITHIN = 0.1  # of the standard deviation of a pixel
 
 
@@ -67,20 +68,21 @@ class _Pair:
             names: Sums of blocks.
         """
         value = of(*zip(*map(self.totals, names), strict=True))
-        drawn = [
-            [self._drawn(stack, name) for name in names] for stack, _ in enumerate(self.stacks)
-        ]
+        drawn = [[self._drawn(stack, name) for name in names] for stack in self.stacks]
         values = [of(*([part[k] for part in stack] for stack in drawn)) for k in range(RESAMPLES)]
         return np.asarray(value), np.std(values, axis=0)
 
     def _drawn(self, stack, name):
-        """Return totals of blocks drawn with replacement, (RESAMPLES, ...); equal draws for equal numbers."""
-        values = getattr(self.stacks[stack], name)
-        key = stack, len(values)
-        if key not in self._weights:
-            even = np.full(len(values), 1 / len(values))
-            self._weights[key] = self._random.multinomial(len(values), even, RESAMPLES)
-        return np.tensordot(self._weights[key].astype(np.float64), values, 1)
+        """Return totals of blocks drawn with replacement, (RESAMPLES, ...).
+
+        Draws of equal numbers of blocks are equal, and those of both stacks: the light of a block is the same in both.
+        """
+        values = getattr(stack, name)
+        count = len(values)
+        if count not in self._weights:
+            even = np.full(count, 1 / count)
+            self._weights[count] = self._random.multinomial(count, even, RESAMPLES)
+        return np.tensordot(self._weights[count].astype(np.float64), values, 1)
 
 
 def noise_statistics(
@@ -116,7 +118,7 @@ def noise_statistics(
     found.append(
         _largest("correlation of neighbours", value, error, CORRELATION_WITHIN, "", len(LAGS))
     )
-    found.append(_pattern(pair))
+    found += [_pattern(pair), _defects(pair)]
     found += [_lines(pair, name) for name in ("fixed_rows", "fixed_columns")]
     return [*found, _level(pair)] if is_dark else found
 
@@ -245,6 +247,23 @@ def _pattern(pair):
         "%",
         real=real,
         simulated=simulated,
+    )
+
+
+def _defects(pair):
+    value, error = pair.difference(lambda a, b: _ratio(a[0]) - _ratio(b[0]), "defects")
+    real, simulated = map(_ratio, pair.totals("defects"))
+    # in counts of 0 a bootstrap sees no spread: one pixel more or less
+    least = math.hypot(*(1 / total[1] for total in pair.totals("defects")))
+    within, part = DEFECTS_WITHIN
+    return Statistic(
+        "defects",
+        float(value),
+        max(float(error), least),
+        within + part * float(simulated),
+        "%",
+        real=float(real),
+        simulated=float(simulated),
     )
 
 

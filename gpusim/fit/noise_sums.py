@@ -15,6 +15,7 @@ BANDS = 6  # of frequency, from 0 to half a cycle a pixel
 LAGS = ((0, 1), (1, 0), (1, 1), (0, 2), (2, 0))  # rows and columns of neighbours
 # ends of the bins of residuals, in standard deviations: fine in the middle, and tails
 EDGES = np.concatenate([np.arange(0, 2.51, 0.25), [3, 3.5, 4, 5, 7]])
+FAR, TINY = 6.0, 1e-12  # standard deviations of the pattern from which a pixel is a defect
 DEGREE = 2  # of the polynomial that is an evenly lit frame's light
 
 
@@ -30,8 +31,9 @@ class NoiseSums:
         along_rows, along_columns: Power of white noise 1 in each band, of groups of lines, (G, BANDS).
         products: Products of neighbours at each lag over the variance, and their numbers, shape
             (B, 2, lags).
-        pattern: Squared deviations of the mean frame from a smooth surface, without lines [DN^2], and
-            numbers, of each channel, (B, 2, C).
+        pattern: Squared deviations of the mean frame from a smooth surface, without lines and defects
+            [DN^2], and numbers, of each channel, (B, 2, C).
+        defects: Number of pixels of the mean frame that are far from the others, and of all, (B, 2).
         fixed_rows: As `rows`, of the mean frame over the temporal deviation; the third sum has the
             pixels' part.
         fixed_columns: As `fixed_rows`, of columns.
@@ -50,6 +52,7 @@ class NoiseSums:
     along_columns: np.ndarray
     products: np.ndarray
     pattern: np.ndarray
+    defects: np.ndarray
     fixed_rows: np.ndarray
     fixed_columns: np.ndarray
     totals: np.ndarray
@@ -96,7 +99,9 @@ def sum_noise(
     scale = np.sqrt(np.maximum(variances, 1e-12))[channel].astype(np.float32)
     white, lined = residuals / scale, lined / scale
     mean = values.mean(axis=0, dtype=np.float64)
-    pattern = _without_light(mean, letters, channel, count)
+    pattern, is_defect = _without_defects(
+        _without_light(mean, letters, channel, count), channel, count
+    )
     fixed, rest = pattern / scale, _without_lines(pattern[None])[0]
     power = float(np.mean((rest / scale) ** 2))
     return NoiseSums(
@@ -110,6 +115,10 @@ def sum_noise(
         along_columns=_spectra(white.transpose(0, 2, 1)),
         products=_products(white, block),
         pattern=_pattern_sums(rest, where, count),
+        defects=np.stack(
+            [np.bincount(block.ravel(), part.ravel()) for part in (is_defect, np.ones_like(mean))],
+            axis=1,
+        ),
         fixed_rows=_line_sums(fixed[None], 1, power),
         fixed_columns=_line_sums(fixed[None], 2, power),
         totals=np.stack(
@@ -272,6 +281,16 @@ def _without_light(mean, letters, channel, count):
         chosen = channel == number
         rest[chosen] -= light_at(coefficients, *mean.shape)[chosen]
     return _without_levels(rest, letters.shape)
+
+
+def _without_defects(pattern, channel, count):
+    """Return a pattern with its far pixels at 0, and whether each pixel is far."""
+    is_defect = np.zeros(pattern.shape, bool)
+    for number in range(count):
+        chosen = channel == number
+        deviation = 1.4826 * np.median(np.abs(pattern[chosen]))  # of a normal distribution
+        is_defect[chosen] = np.abs(pattern[chosen]) > FAR * max(deviation, TINY)
+    return np.where(is_defect, 0.0, pattern), is_defect
 
 
 def _pattern_sums(rest, where, count):
