@@ -19,14 +19,16 @@ from gpusim.fit.sorting import check_same_camera, summarise
 from gpusim.io.raw.raw_frame import RawFrame
 from gpusim.measure.difference import ciede2000
 from gpusim.measure.ideal import ideal
-from gpusim.measure.sfr import mtf50, sfr
+from gpusim.measure.sfr import EdgeResponse, mtf50, sfr
 from gpusim.pipeline.simulator import Simulator
 
 Result = tuple[list[tuple[str, list[Statistic]]], list[Plot]]
 LARGEST = 480  # rows and columns of an edge's frame that are used
 REPLICAS = 12  # simulated measurements of an edge, for its standard error
 CELLS = 8  # rows and columns of the shading's map
-FIELD = 128  # pixels along the longer side of a simulated frame of even light
+MIDDLE = slice(CELLS // 2 - 1, CELLS // 2 + 1)
+FIELD = 256  # pixels along the longer side of a simulated frame of even light
+LEAST_TRANSFER = 0.5  # of a sample, which is 0 at one cycle a pixel
 CURVE_CHANCES = 10  # independent frequencies of a curve, about
 DRAWS = 200  # of the noise of patches
 MTF50_WITHIN, CURVE_WITHIN, SHADING_WITHIN, COLOR_WITHIN = 0.02, 0.03, 0.01, 1.0
@@ -80,7 +82,7 @@ def compare_edges(
     for number in range(REPLICAS):
         raw = device.numpy(exposure.raw(seed=seed, first=number * len(cut), frames=len(cut)))
         even, *_ = _even_channels(raw.mean(axis=0, dtype=np.float64) - level, letters)
-        found.append(sfr(even))
+        found.append(_without_sampling(sfr(even), angle))
     limits = np.array([mtf50(one) for one in found])
     curves = np.array([one.response for one in found])
     low = real.frequencies <= 0.5
@@ -120,6 +122,18 @@ def compare_edges(
         partial(_draw_curves, real=real, simulated=simulated),
     )
     return [(words, statistics)], [plot]
+
+
+def _without_sampling(measured: EdgeResponse, angle: float) -> EdgeResponse:
+    """Return a simulated response without the chart's own samples, which are means over whole pixels.
+
+    The lens and the pixels of the camera see an edge that is blurred by one pixel. The transform of
+    that square along the edge's normal divides the response. angle: [deg].
+    """
+    turn = math.radians(angle)
+    transfer = np.sinc(measured.frequencies * math.cos(turn))
+    transfer = transfer * np.sinc(measured.frequencies * math.sin(turn))
+    return replace(measured, response=measured.response / np.maximum(transfer, LEAST_TRANSFER))
 
 
 def compare_chart(
@@ -195,8 +209,8 @@ def compare_shading(
 ) -> Result:
     """Compare even light through the lens with a simulated frame of the same field.
 
-    Maps of 8 x 8 cells, relative to the middle, of each channel. The simulated frame has larger
-    pixels and fewer of them, so that it covers the same field.
+    Maps of 8 x 8 cells, relative to the middle, of each channel. The simulated frames, one a channel,
+    have larger pixels and fewer of them, so that they cover the same field.
 
     Args:
         shots: Frames of even light, whole frames of the sensor.
@@ -211,20 +225,10 @@ def compare_shading(
     del seed
     frame, stack = _read(shots, camera)
     letters, channels = letter_indices(frame.cfa)
+    channels = _letters_of(camera, channels)
     mean = stack.mean(axis=0, dtype=np.float64) - _black(frame, camera)
     real, errors = _shading_map(mean, letters, len(channels))
-    sensor = camera.sensor
-    factor = max(1, max(mean.shape) // FIELD)
-    period = np.array(letters.shape)
-    rows, cols = (
-        max(one // factor // step, CELLS) * step
-        for one, step in zip(mean.shape, period, strict=True)
-    )
-    pitch = sensor.pixel_pitch * mean.shape[1] / cols
-    coarse = replace(camera, sensor=replace(sensor, pixel_pitch=min(pitch, 1e-3), binning=(1, 1)))
-    scene = chart("flat", size=(cols, rows), light=light)
-    exposure = Simulator(coarse, device=device).expose(scene)
-    simulated, _ = _shading_map(np.asarray(exposure, np.float64), letters, len(channels))
+    simulated = np.stack([_even_map(camera, one, mean.shape, light, device) for one in channels])
     difference = real - simulated
     worst = np.unravel_index(np.argmax(np.abs(difference)), difference.shape)
     words = f"shading ({frame.name})"
@@ -334,14 +338,34 @@ def _shading_map(mean, letters, count):
         where = cell[:, step:][inside]
         squares = np.bincount(where, noise[inside] ** 2 / 2, CELLS**2)
         errors[letter] = np.sqrt(squares / number / number)
-    middle = [
-        CELLS * row + col
-        for row in (CELLS // 2 - 1, CELLS // 2)
-        for col in (CELLS // 2 - 1, CELLS // 2)
-    ]
-    levels = found[:, middle].mean(axis=1, keepdims=True)
     shape = count, CELLS, CELLS
-    return (found / levels).reshape(shape), (errors / levels).reshape(shape)
+    found, errors = found.reshape(shape), errors.reshape(shape)
+    levels = found[:, MIDDLE, MIDDLE].mean(axis=(1, 2), keepdims=True)
+    return found / levels, errors / levels
+
+
+def _letters_of(camera, channels):
+    """Return the camera's letters for the channels of frames: its own one if there is one channel."""
+    return channels if len(channels) > 1 else tuple(camera.sensor.channels[:1])
+
+
+def _even_map(camera, letter, shape, light, device):
+    """Return one channel's simulated light relative to the middle, (CELLS, CELLS). shape: of the frame."""
+    rows, cols = (max(CELLS, round(size * min(1, FIELD / max(shape)))) for size in shape)
+    camera = camera.with_(cfa=[letter])
+    pitch = min(camera.sensor.pixel_pitch * shape[1] / cols, 1e-3)
+    coarse = replace(camera, sensor=replace(camera.sensor, pixel_pitch=pitch, binning=(1, 1)))
+    exposure = Simulator(coarse, device=device).expose(chart("flat", size=(cols, rows), light=light))
+    down, across = _cell_parts(rows), _cell_parts(cols)
+    found = down @ np.asarray(exposure, np.float64) @ across.T
+    return found / found[MIDDLE, MIDDLE].mean()
+
+
+def _cell_parts(size):
+    """Return the part of each cell that each pixel covers, (CELLS, size)."""
+    ends, pixels = np.linspace(0, size, CELLS + 1)[:, None], np.arange(size)
+    covered = np.minimum(ends[1:], pixels + 1) - np.maximum(ends[:-1], pixels)
+    return np.maximum(covered, 0) * CELLS / size
 
 
 def _draw_curves(figure, real, simulated):
