@@ -3,16 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from os import PathLike
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gpusim.backends import Device, open_device
 from gpusim.domain.camera import Camera
-from gpusim.domain.errors import BadData
+from gpusim.domain.errors import BadData, BadFile
 from gpusim.domain.progress import announced
 from gpusim.domain.short_repr import short_repr
 from gpusim.fit.estimate import Plot
+from gpusim.fit.fitting import RAW_SUFFIXES
 from gpusim.fit.held_out import (
     Group,
     gain_of,
@@ -26,6 +28,7 @@ from gpusim.fit.noise_sums import NoiseSums, sum_noise
 from gpusim.fit.verdicts import AGREES, DIFFERS, UNKNOWN, Finding, judge
 from gpusim.io.camera.cameras import open_camera
 
+PICTURES = {".png", ".jpg", ".jpeg"}
 OTHER_CHIP = 1  # added to the chip's seed: simulated and real patterns are compared as statistics
 
 
@@ -124,6 +127,11 @@ def compare(
         Leibler, "On information and sufficiency" (1951).
     """
     if isinstance(camera, str | PathLike):
+        if Path(camera).suffix.lower() in RAW_SUFFIXES | PICTURES:
+            raise BadFile(
+                camera,
+                "no camera file: give the camera's name or .toml first, then the held-out files",
+            )
         camera = open_camera(camera)
     if not isinstance(camera, Camera):
         raise BadData(f"camera: {type(camera).__name__}, wanted a Camera, a name or a file")
@@ -154,6 +162,7 @@ def _compare_noise(shots, camera, base_iso, seed, device):
     held = group_frames(shots, camera)
     isos = [one.frame.iso for one in held.groups]
     letters, channels = letter_indices(held.cfa)
+    lines = [*held.unknown, *_speed_lines(isos, base_iso)]
     groups, plots, blacks = [], [], {}
     for number, group in enumerate(held.groups):
         stack = group.read(letters.shape)
@@ -174,7 +183,17 @@ def _compare_noise(shots, camera, base_iso, seed, device):
         plots.append((group, real, simulated))
     from gpusim.fit.compare_plots import noise_plots
 
-    return groups, list(held.unknown), noise_plots(plots, channels)
+    return groups, lines, noise_plots(plots, channels)
+
+
+def _speed_lines(isos, base_iso):
+    """Return a line if the ISO speed of the camera file's gain is taken as that of the frames."""
+    known = {iso for iso in isos if iso is not None}
+    if base_iso is None and known:
+        yield (
+            f"the ISO speed: the camera file's gain is taken as that of ISO {known.pop():g}, the frames'; "
+            "if it is another one's, give it (base_iso)"
+        )
 
 
 def _sums(stack, drawn, letters, count) -> tuple[NoiseSums, NoiseSums]:

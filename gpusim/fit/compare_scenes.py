@@ -19,7 +19,7 @@ from gpusim.fit.sorting import check_same_camera, summarise
 from gpusim.io.raw.raw_frame import RawFrame
 from gpusim.measure.difference import ciede2000
 from gpusim.measure.ideal import ideal
-from gpusim.measure.sfr import EdgeResponse, mtf50, sfr
+from gpusim.measure.sfr import mtf50, sfr
 from gpusim.pipeline.simulator import Simulator
 
 Result = tuple[list[tuple[str, list[Statistic]]], list[Plot]]
@@ -82,17 +82,19 @@ def compare_edges(
     for number in range(REPLICAS):
         raw = device.numpy(exposure.raw(seed=seed, first=number * len(cut), frames=len(cut)))
         even, *_ = _even_channels(raw.mean(axis=0, dtype=np.float64) - level, letters)
-        found.append(_without_sampling(sfr(even), angle))
+        found.append(sfr(even))
+    transfer = _sample_transfer(real.frequencies, angle)
+    noise = np.std([one.response for one in found], axis=0, ddof=1)
+    found = [replace(one, response=one.response / transfer) for one in found]
     limits = np.array([mtf50(one) for one in found])
-    curves = np.array([one.response for one in found])
     low = real.frequencies <= 0.5
-    simulated = curves.mean(axis=0)
+    simulated = np.mean([one.response for one in found], axis=0)
     # both frames have the noise of one measurement, the mean of replicas a part of it
     spread = math.sqrt(1 + 1 / REPLICAS)
     own = float(mtf50(real))
     difference = (real.response - simulated)[low]
-    errors = spread * curves.std(axis=0, ddof=1)[low]
-    errors = np.maximum(errors, 1e-6)
+    errors = noise * np.sqrt(1 + 1 / (REPLICAS * transfer**2))
+    errors = np.maximum(errors[low], 1e-6)
     worst = int(np.argmax(np.abs(difference) / errors))
     freedom = REPLICAS - 1
     statistics = [
@@ -124,16 +126,15 @@ def compare_edges(
     return [(words, statistics)], [plot]
 
 
-def _without_sampling(measured: EdgeResponse, angle: float) -> EdgeResponse:
-    """Return a simulated response without the chart's own samples, which are means over whole pixels.
+def _sample_transfer(frequencies: np.ndarray, angle: float) -> np.ndarray:
+    """Return the transfer of the simulated chart's samples, which are means over whole pixels.
 
-    The lens and the pixels of the camera see an edge that is blurred by one pixel. The transform of
-    that square along the edge's normal divides the response. angle: [deg].
+    The lens and the pixels of the camera see an edge that is blurred by such a square; its transform along the edge's
+    normal divides the simulated response. angle: [deg].
     """
     turn = math.radians(angle)
-    transfer = np.sinc(measured.frequencies * math.cos(turn))
-    transfer = transfer * np.sinc(measured.frequencies * math.sin(turn))
-    return replace(measured, response=measured.response / np.maximum(transfer, LEAST_TRANSFER))
+    found = np.sinc(frequencies * math.cos(turn)) * np.sinc(frequencies * math.sin(turn))
+    return np.maximum(found, LEAST_TRANSFER)
 
 
 def compare_chart(
@@ -355,7 +356,9 @@ def _even_map(camera, letter, shape, light, device):
     camera = camera.with_(cfa=[letter])
     pitch = min(camera.sensor.pixel_pitch * shape[1] / cols, 1e-3)
     coarse = replace(camera, sensor=replace(camera.sensor, pixel_pitch=pitch, binning=(1, 1)))
-    exposure = Simulator(coarse, device=device).expose(chart("flat", size=(cols, rows), light=light))
+    exposure = Simulator(coarse, device=device).expose(
+        chart("flat", size=(cols, rows), light=light)
+    )
     down, across = _cell_parts(rows), _cell_parts(cols)
     found = down @ np.asarray(exposure, np.float64) @ across.T
     return found / found[MIDDLE, MIDDLE].mean()

@@ -99,9 +99,10 @@ def sum_noise(
     scale = np.sqrt(np.maximum(variances, 1e-12))[channel].astype(np.float32)
     white, lined = residuals / scale, lined / scale
     mean = values.mean(axis=0, dtype=np.float64)
-    pattern, is_defect = _without_defects(
-        _without_light(mean, letters, channel, count), channel, count
-    )
+    pattern = _without_light(mean, letters, channel, count)
+    is_defect = _find_defects(pattern, channel, count)
+    even = np.where(is_defect, mean - pattern, mean)
+    pattern = np.where(is_defect, 0.0, _without_light(even, letters, channel, count))
     fixed, rest = pattern / scale, _without_lines(pattern[None])[0]
     power = float(np.mean((rest / scale) ** 2))
     return NoiseSums(
@@ -283,14 +284,14 @@ def _without_light(mean, letters, channel, count):
     return _without_levels(rest, letters.shape)
 
 
-def _without_defects(pattern, channel, count):
-    """Return a pattern with its far pixels at 0, and whether each pixel is far."""
+def _find_defects(pattern, channel, count):
+    """Return whether each pixel of a pattern is far from the others of its channel."""
     is_defect = np.zeros(pattern.shape, bool)
     for number in range(count):
         chosen = channel == number
         deviation = 1.4826 * np.median(np.abs(pattern[chosen]))  # of a normal distribution
         is_defect[chosen] = np.abs(pattern[chosen]) > FAR * max(deviation, TINY)
-    return np.where(is_defect, 0.0, pattern), is_defect
+    return is_defect
 
 
 def _pattern_sums(rest, where, count):

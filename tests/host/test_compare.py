@@ -87,6 +87,46 @@ def test_sums_against_plain_formulas():
     assert sums.along_rows.mean() == pytest.approx(1, abs=0.05)
 
 
+def test_defects_are_counted_and_not_part_of_the_pattern():
+    random = np.random.default_rng(2)
+    pattern = random.normal(0, 2, (64, 64))
+    pattern[::16, ::16] = 200  # 16 pixels
+    stack = 100 + pattern + random.normal(0, 1, (4, 64, 64))
+    sums = sum_noise(stack, np.zeros((1, 1), int), np.array([1.0]), False)
+    assert sums.defects.sum(axis=0) == pytest.approx((16, 64 * 64))
+    squares, number = sums.pattern.sum(axis=0)[:, 0]
+    # 4 + 1 / 4, within four errors of a variance; removed lines and the surface hold 134 of 4096 numbers
+    assert squares / number == pytest.approx(4.25 * (1 - 134 / 4096), rel=4 * math.sqrt(2 / 4096))
+
+
+def test_the_transfer_of_a_charts_samples():
+    """A square of one pixel, seen along the normal of an edge at 5 degrees, by a sum over its area."""
+    from gpusim.fit.compare_scenes import _sample_transfer
+
+    angle, frequencies = np.radians(5), np.linspace(0, 0.5, 6)
+    y, x = np.meshgrid(*[(np.arange(400) + 0.5) / 400 - 0.5] * 2)
+    along = x * np.cos(angle) + y * np.sin(angle)
+    wanted = [np.cos(2 * np.pi * f * along).mean() for f in frequencies]
+    np.testing.assert_allclose(_sample_transfer(frequencies, 5.0), wanted, rtol=1e-5)
+
+
+def test_parts_of_cells():
+    """Ten pixels in eight cells: each cell has 1.25 of them."""
+    from gpusim.fit.compare_scenes import _cell_parts
+
+    found = _cell_parts(10)
+    np.testing.assert_allclose(found.sum(axis=1), 1)
+    np.testing.assert_allclose(found[1, :4], (0, 0.6, 0.4, 0))
+
+
+def test_the_iso_speed_of_the_file_is_a_line():
+    held = frames(iso=3200.0, shape=(48, 52))
+    found = gs.compare("machine-vision", held, device="numpy")
+    assert any("ISO 3200" in line for line in found.unknown)
+    found = gs.compare("machine-vision", held, base_iso=100.0, device="numpy")
+    assert not any("ISO 3200" in line for line in found.unknown)
+
+
 def test_smooth_light_follows_a_polynomial():
     y, x = ((2 * np.arange(size) + 1) / size - 1 for size in (24, 30))
     planes = [100 + 5 * y[:, None] - 3 * x**2, 50 + 2 * x * y[:, None]]
@@ -129,7 +169,7 @@ def test_cameras_that_cannot_be_compared():
 def test_commands_and_their_statuses(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     readout = gs.Readout(gs.open_camera("mono").sensor, "numpy")
-    dark = readout.draw_electrons(np.zeros((64, 64), np.float32), 1e-3, frames=4)
+    dark = readout.draw_electrons(np.zeros((72, 72), np.float32), 1e-3, frames=4)
     np.savez("dark.npz", dn=dark, exposure_time_s=1e-3, black_level=64.0)
     np.savez("noisy.npz", dn=64 + 3 * (dark - 64.0), exposure_time_s=1e-3, black_level=64.0)
     Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save("a.jpg")
@@ -147,6 +187,10 @@ def test_commands_and_their_statuses(tmp_path, monkeypatch, capsys):
         (["mono", "none.npz"], "no such file"),
         (["mono"], "held-out frames: none"),
         (["mono", "dark.npz", "--light", "A"], "--light"),
+        (["dark.npz", "dark.npz"], "no camera file"),
+        (["a.jpg", "dark.npz"], "no camera file"),
+        (["mono", "dark.npz", "--page", "missing/page.html"], "folder does not exist"),
+        (["mono", "dark.npz", "--json", "missing/rows.json"], "folder does not exist"),
     ):
         assert main(["compare", *arguments, *on]) == 2
         said = capsys.readouterr().err.strip().splitlines()
