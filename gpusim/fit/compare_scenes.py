@@ -28,7 +28,7 @@ REPLICAS = 12  # simulated measurements of an edge, for its standard error
 CELLS = 8  # rows and columns of the shading's map
 MIDDLE = slice(CELLS // 2 - 1, CELLS // 2 + 1)
 FIELD = 256  # pixels along the longer side of a simulated frame of even light
-LEAST_TRANSFER = 0.5  # of a sample, which is 0 at one cycle a pixel
+FINE = 2  # samples along a pixel of the simulated edge: one would fold frequencies above half a cycle back
 CURVE_CHANCES = 10  # independent frequencies of a curve, about
 DRAWS = 200  # of the noise of patches
 MTF50_WITHIN, CURVE_WITHIN, SHADING_WITHIN, COLOR_WITHIN = 0.02, 0.03, 0.01, 1.0
@@ -70,6 +70,7 @@ def compare_edges(
         "slanted-edge",
         size=shape[::-1],
         light=light,
+        samples_per_pixel=FINE,
         angle_deg=steep,
         contrast=min(max(bright / max(dark, 1e-3 * bright), 1.01), 1e3),
     )
@@ -127,14 +128,13 @@ def compare_edges(
 
 
 def _sample_transfer(frequencies: np.ndarray, angle: float) -> np.ndarray:
-    """Return the transfer of the simulated chart's samples, which are means over whole pixels.
+    """Return the transfer of the simulated chart's samples, which are means over squares.
 
     The lens and the pixels of the camera see an edge that is blurred by such a square; its transform along the edge's
-    normal divides the simulated response. angle: [deg].
+    normal divides the simulated response. frequencies: [cycle/pixel]; angle: [deg].
     """
-    turn = math.radians(angle)
-    found = np.sinc(frequencies * math.cos(turn)) * np.sinc(frequencies * math.sin(turn))
-    return np.maximum(found, LEAST_TRANSFER)
+    turn, cycles = math.radians(angle), frequencies / FINE
+    return np.sinc(cycles * math.cos(turn)) * np.sinc(cycles * math.sin(turn))
 
 
 def compare_chart(

@@ -100,11 +100,11 @@ def test_defects_are_counted_and_not_part_of_the_pattern():
 
 
 def test_the_transfer_of_a_charts_samples():
-    """A square of one pixel, seen along the normal of an edge at 5 degrees, by a sum over its area."""
+    """A square of half a pixel, seen along the normal of an edge at 5 degrees, by a sum over its area."""
     from gpusim.fit.compare_scenes import _sample_transfer
 
     angle, frequencies = np.radians(5), np.linspace(0, 0.5, 6)
-    y, x = np.meshgrid(*[(np.arange(400) + 0.5) / 400 - 0.5] * 2)
+    y, x = np.meshgrid(*[(np.arange(400) + 0.5) / 800 - 0.25] * 2)
     along = x * np.cos(angle) + y * np.sin(angle)
     wanted = [np.cos(2 * np.pi * f * along).mean() for f in frequencies]
     np.testing.assert_allclose(_sample_transfer(frequencies, 5.0), wanted, rtol=1e-5)
