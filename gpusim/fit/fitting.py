@@ -201,7 +201,8 @@ def fit_camera(
     base = os.fspath(base) if base is not None else _base_for(first)
     camera = open_camera(base)
     _check_letters(camera, first)
-    parts, fits, failures = [], [], {}
+    failures: dict[str, Exception] = {}
+    parts, fits = [], []
     darks, flats = by_kind.get("dark", []), by_kind.get("flat", [])
     if darks or flats:
         with _kept(failures, "noise"):

@@ -106,7 +106,7 @@ def sigma_of(limit):
     return low
 
 
-def edge_frames(rng, sigma, cfa, count=16, tile=256, keep=224, electrons=9000):
+def edge_frames(rng, sigma, cfa, count=24, tile=256, keep=224, electrons=9000):
     """The edge of a square that is much larger than the frame; the border, where the transform wraps, is cut."""
     angle, place = np.radians(rng.uniform(4, 9)), rng.uniform(-1, 1)
     pattern = edges.transform(edges.square(angle, 4000.0, tile, (0.0, 2000.0 + place)))
