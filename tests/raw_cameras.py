@@ -198,5 +198,6 @@ def shoot(camera, folder, chip=0):
                 number += 1
 
 
-def _write(camera, path, frame, iso, seconds):
-    np.savez(path, dn=frame, cfa=np.array(camera.cfa), iso=float(iso), exposure_time_s=seconds)
+def _write(camera, path, frame, iso, seconds, **more):
+    settings = {"iso": float(iso), "exposure_time_s": seconds, **more}
+    np.savez(path, dn=frame, cfa=np.array(camera.cfa), **settings)

@@ -7,8 +7,8 @@ from gpusim.cli.options import CAMERA_HELP, Options, flag, option
 TEXTS = {
     "help": "fit a camera to its own raw files: noise, levels, colour, sharpness, with intervals",
     "description": (
-        "The kind of shots comes from an option, from the name of their folder (darks, flats, chart, edges, grid, "
-        "shading, ramp), or else from their content. Needs rawpy and matplotlib: pip install 'gpusim[fit]'."
+        "The kind of shots comes from an option, from the name of their folder (darks, flats, pairs, chart, edges, "
+        "grid, shading, ramp), or else from their content. Needs rawpy and matplotlib: pip install 'gpusim[fit]'."
     ),
 }
 
@@ -35,6 +35,12 @@ class FitRequest(Options):
         nargs="+",
         metavar="FILE",
         help="pairs of evenly lit frames, from dark to beyond saturation",
+    )
+    pairs: list[str] | tuple = option(
+        default=(),
+        nargs="+",
+        metavar="FILE",
+        help="two frames or more of any static scene at each exposure, in place of flats or darks",
     )
     chart: list[str] | tuple = option(
         default=(), nargs="+", metavar="FILE", help="frames of a ColorChecker"
@@ -93,6 +99,7 @@ def fit(request: FitRequest) -> int:
         request.files,
         darks=request.darks,
         flats=request.flats,
+        pairs=request.pairs,
         chart=request.chart,
         edges=request.edges,
         grid=request.grid,

@@ -22,6 +22,7 @@ class _Function(ModuleType):
         *,
         darks: str | os.PathLike | Iterable[str | os.PathLike] = (),
         flats: str | os.PathLike | Iterable[str | os.PathLike] = (),
+        pairs: str | os.PathLike | Iterable[str | os.PathLike] = (),
         chart: str | os.PathLike | Iterable[str | os.PathLike] = (),
         edges: str | os.PathLike | Iterable[str | os.PathLike] = (),
         grid: str | os.PathLike | Iterable[str | os.PathLike] = (),
@@ -38,11 +39,13 @@ class _Function(ModuleType):
         frames cannot be used does not end the fit, if there are others: `Fit.failed` says why.
 
         Args:
-            files: Raw files or folders. A folder's name (darks, flats, chart, edges, grid, shading,
-                ramp) or its own name (grid_03.dng) says what its frames show; of other
-                files the content does: dark, or even light.
+            files: Raw files or folders. A folder's name (darks, flats, pairs, chart, edges, grid,
+                shading, ramp) or its own name (grid_03.dng) says what its frames show; of other
+                files the content does: dark, even light, or a static scene, twice or more.
             darks: Frames without light, at one or more exposure times and temperatures.
             flats: Pairs, or more frames, of even light without a lens, from dark to beyond saturation.
+            pairs: Two frames or more of any static scene at each exposure time, in place of flats, or
+                of darks if the files state the black level.
             chart: Frames of a ColorChecker.
             edges: Frames of slanted edges.
             grid: Frames of a checkerboard.
@@ -66,6 +69,7 @@ class _Function(ModuleType):
         more = {
             "dark": darks,
             "flat": flats,
+            "pairs": pairs,
             "chart": chart,
             "edges": edges,
             "grid": grid,

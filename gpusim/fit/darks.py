@@ -57,6 +57,8 @@ def fit_dark_line(levels: Sequence[Level], line_error: float) -> DarkLine:
     has_lines = len(set(times)) > 1 and all(level.exposure_time is not None for level in levels)
     if not has_lines:
         shortest = times == times.min()
+        if all(level.exposure_time is None for level in levels):
+            shortest = means == means.min()  # brighter ones have dark current
         weights = shortest / variances
         black = float(weights @ means / weights.sum())
         return DarkLine(

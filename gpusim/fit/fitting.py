@@ -18,12 +18,14 @@ from gpusim.domain.pupil import Pupil, Wavefront
 from gpusim.domain.short_repr import short_repr
 from gpusim.fit.camera_text import camera_text, spread_path
 from gpusim.fit.estimate import Estimate, Part
-from gpusim.fit.noise import IsoFit, fit_isos
+from gpusim.fit.noise import IsoFit
 from gpusim.fit.noise_part import noise_part
 from gpusim.fit.optics_parts import shared_results
 from gpusim.fit.parts import part_functions
 from gpusim.fit.shots import Known, Shot
 from gpusim.fit.sorting import Summary, check_same_camera, name_kinds, summarise
+from gpusim.fit.speeds import fit_isos
+from gpusim.fit.steps import without_shift
 from gpusim.io.atomic import atomic_path, check_output
 from gpusim.io.camera.cameras import camera_of, camera_table, open_camera, override_keys
 from gpusim.io.camera.psf import write_psf
@@ -34,6 +36,7 @@ Paths = str | os.PathLike | Iterable[str | os.PathLike]
 FOLDERS = {  # names of folders whose frames are of one kind
     **{name: "dark" for name in ("dark", "darks", "bias")},
     **{name: "flat" for name in ("flat", "flats")},
+    **{name: "pairs" for name in ("pair", "pairs")},
     **{name: "chart" for name in ("chart", "charts")},
     **{name: "edges" for name in ("edge", "edges")},
     **{name: "grid" for name in ("grid", "grids")},
@@ -193,7 +196,9 @@ def fit_camera(
     if not shots:
         raise BadData("no raw files: wanted dark frames and flats, or shots of charts")
     plain = [shot for shot in shots if shot.kind != "ramp"]
-    summaries = name_kinds(_summaries(plain)) if plain else []
+    summaries, step = without_shift(_summaries(plain) if plain else [])
+    summaries = name_kinds(summaries) if summaries else []
+    shots = [replace(shot, step=step) if shot.kind != "ramp" else shot for shot in shots]
     by_kind: dict[str, list[Summary]] = {}
     for one in summaries:
         by_kind.setdefault(one.shot.kind, []).append(one)
@@ -201,13 +206,16 @@ def fit_camera(
     base = os.fspath(base) if base is not None else _base_for(first)
     camera = open_camera(base)
     _check_letters(camera, first)
+    parts: list[Part] = []
+    fits: list[IsoFit] = []
     failures: dict[str, Exception] = {}
-    parts, fits = [], []
-    darks, flats = by_kind.get("dark", []), by_kind.get("flat", [])
-    if darks or flats:
+    of_noise = [by_kind.get(kind, []) for kind in ("dark", "flat", "pairs")]
+    if any(of_noise):
         with _kept(failures, "noise"):
-            fits = fit_isos(darks, flats)
-            parts.append(_fit_to_base(noise_part(fits, darks + flats), camera))
+            fits, missing = fit_isos(*of_noise)
+            failures |= missing
+            used = [*chain.from_iterable(of_noise)]
+            parts.append(_fit_to_base(noise_part(fits, used), camera))
     else:
         parts.append(Part("noise", unknown=("noise: no dark frames and flats",)))
     known = _known(camera, first, fits, options or {})
@@ -221,11 +229,13 @@ def fit_camera(
                 known = replace(known, shared={**known.shared, **more})
     if failures and not any(part.settings or part.estimates for part in parts):
         raise next(iter(failures.values()))
-    others = by_kind.get("other", [])
+    others = by_kind.get("other", []) + _spare_pairs(*of_noise)
     if others:
         parts.append(Part("other shots", unknown=(_other_line(others),)))
     counts = [f"{len(found)} of {kind}" for kind, found in by_kind.items()]
     lines = (f"frames: {', '.join(counts)}", *_notes(summaries))
+    if step > 1:
+        lines += (f"values are multiples of {step}: divided by {step}, as the converter gave them",)
     name = next((one.frame.camera for one in summaries if one.frame.camera), None)
     failed = tuple(f"{kind}: {error}" for kind, error in failures.items())
     return Fit(tuple(parts), base, name, lines, tuple(fits), failed)
@@ -344,12 +354,18 @@ def _other_parts(kind, shots, known):
     return [function(shots, known) for function in functions]
 
 
+def _spare_pairs(darks, flats, pairs):
+    """Return pairs of ISO speeds whose darks and flats give the same numbers, and more."""
+    full = {one.frame.iso for one in darks} & {one.frame.iso for one in flats}
+    return [one for one in pairs if one.frame.iso in full]
+
+
 def _other_line(others):
     names = ", ".join(one.frame.name for one in others[:3])
     more = f" and {len(others) - 3} more" if len(others) > 3 else ""
     return (
-        f"{names}{more}: neither dark nor evenly lit, not used; say what they show: --chart, --edges, "
-        "--grid, --shading or --ramp"
+        f"{names}{more}: neither dark nor evenly lit, not used; say what they show: --chart, --edges, --grid, "
+        "--shading or --ramp; --pairs are for ISO speeds without darks or flats"
     )
 
 

@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from itertools import count
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,7 +10,6 @@ from gpusim.domain.errors import BadData
 from gpusim.fit.darks import DarkLine, Drift, Hot, find_drift, find_hot, fit_dark_line
 from gpusim.fit.findings import Tails, find_tails
 from gpusim.fit.intervals import (
-    MeanSquare,
     Range,
     chance_of_normal,
     difference_of,
@@ -22,6 +20,8 @@ from gpusim.fit.intervals import (
 from gpusim.fit.levels import Level, level_of, stack_group
 from gpusim.fit.patterns import DEGREE, Pattern, outliers, share_range, split_pattern
 from gpusim.fit.rounding import rounding_bias
+from gpusim.fit.scene_stack import SHOOT_PAIRS
+from gpusim.fit.scenes import read_scenes
 from gpusim.fit.sorting import Summary, group_darks, group_flats
 from gpusim.fit.transfer import (
     SHOOT_FLATS,
@@ -34,6 +34,9 @@ from gpusim.fit.transfer import (
 
 DEAD = 0.3  # response of a dead pixel, relative to the mean
 RESTLESS = 1e-7  # chance of a pixel's temporal variance, for telegraph noise
+JUMP = (
+    0.25  # least variance of a telegraph pixel, of its squared offset: four fifths of the time up
+)
 STEPS = 4.5  # standard deviations of dark values that must lie above 0
 MOVED = 5.0, 0.03  # standard errors and pixels of a displacement that is one
 SAFE = 0.85  # part of the brightest level that no channel of a darker one may reach
@@ -58,10 +61,11 @@ class IsoFit:
         jump: Mean distance of the two values of telegraph noise [DN].
         tails: Distribution of the read noise.
         darks, flats: Numbers of the levels.
-        dark_map: Mean dark frame [DN].
         good: Pixels that are no defects.
         is_whole: Whether values are whole numbers.
         dark_deviation: Standard deviation of a dark pixel's values, temporal and fixed [DN].
+        bounded_read: Bounds of the read noise [e-], if the black level is not known.
+        black_source: "darks", "stated" by the files, or "bounds".
     """
 
     iso: float | None
@@ -81,11 +85,11 @@ class IsoFit:
     tails: Tails | None
     darks: list[Level]
     flats: list[Level]
-    dark_map: np.ndarray
     good: np.ndarray
     is_whole: bool
     dark_deviation: float
-    notes: list[str] = field(default_factory=list)
+    bounded_read: Range | None = None
+    black_source: str = "darks"
 
     @property
     def gain(self) -> float:
@@ -97,48 +101,40 @@ class IsoFit:
         """Relative standard error of the gain."""
         return self.transfer.gain_error / self.gain
 
+    @property
+    def read(self) -> Range:
+        """Noise of a read without signal [e-], with its interval or its bounds."""
+        return self.bounded_read or self.transfer.read
+
     def in_electrons(self, variance: Range) -> Range:
         """Return the standard deviation [e-] of a variance [DN^2]."""
         return widened(root_of(variance).scaled(1 / self.gain), self.gain_spread)
 
 
-def fit_isos(darks: Sequence[Summary], flats: Sequence[Summary]) -> list[IsoFit]:
-    """Fit each ISO speed that has dark frames and flats.
+def fit_iso(
+    iso: float | None,
+    darks: Sequence[Summary],
+    flats: Sequence[Summary],
+    scenes: Sequence[Sequence[Summary]],
+    done: Iterator[int],
+    total: int,
+) -> IsoFit:
+    """Fit one ISO speed.
 
     Args:
-        darks: Frames without light.
-        flats: Frames of even light.
+        iso: The speed.
+        darks: Its frames without light.
+        flats: Its frames of even light.
+        scenes: Groups of frames of static scenes, if there are no flats.
+        done: Counter of frames of all speeds.
+        total: Number of frames of all speeds.
 
     Returns:
-        The fits, in the order of ISO speeds.
+        The fit.
 
     Raises:
         BadData: Frames are missing, clipped or moved.
     """
-    if not flats:
-        raise BadData(f"no flats: gain and noise in electrons need them; {SHOOT_FLATS}")
-    if not darks:
-        raise BadData(f"no dark frames: black level and read noise need them; {SHOOT_DARKS}")
-    speeds = sorted({one.frame.iso for one in flats}, key=lambda iso: iso or 0)
-    for iso in speeds:
-        if not any(one.frame.iso == iso for one in darks):
-            raise BadData(
-                f"no dark frames at ISO {iso}, which the flats have; {SHOOT_DARKS}, at each ISO speed"
-            )
-    done, total = count(), len(darks) + len(flats)
-    return [
-        _fit_iso(
-            iso,
-            [one for one in darks if one.frame.iso == iso],
-            [one for one in flats if one.frame.iso == iso],
-            done,
-            total,
-        )
-        for iso in speeds
-    ]
-
-
-def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
     period = darks[0].frame.period
     is_whole = all(one.is_whole for one in darks)
     groups = group_darks(darks)
@@ -148,7 +144,7 @@ def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
     stack = stack_group(main, done, total, is_dark=True)
     good = np.ones(stack.shape, bool)
     good &= ~outliers(stack.mean, good, period)
-    restless, jump = _restless(stack, good)
+    restless, jump = _restless(stack)
     good &= ~restless
     longest, hot = _longest(groups, main), None
     levels = []
@@ -180,21 +176,28 @@ def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
     tails = None
     if stack.count >= 4 and pixel.value > 1.0:  # rounding hides the shape of finer noise
         tails = find_tails(stack.residual[good], math.sqrt(pixel.value), float(is_whole))
-    dark_map, halves = stack.mean, stack.halves
+    halves, stack_lowest = stack.halves, stack.lowest
     drift = find_drift(levels[0], line_error)
     restless_share = share_range(int(np.count_nonzero(restless)), good.size)
     del stack
-    flat_levels, response, dead, good = _read_flats(
-        flats, black.value, halves, good, period, levels, done, total, fixed
-    )
+    if flats:
+        flat_levels, response, dead, good = _read_flats(
+            flats, black.value, halves, good, period, levels, done, total
+        )
+    else:
+        flat_levels, _, _ = read_scenes(scenes, done, total)
+        response, dead = None, share_range(0, good.size)
+    # values that are cut off at 0 have neither their variance nor their mean
+    is_cut = is_whole and stack_lowest <= 0 and black.value < STEPS * deviation
     transfer = fit_transfer(
         flat_levels,
-        levels,
+        [] if is_cut else levels,
         black.value,
         max(row.value, 0.0) + max(column.value, 0.0),
         is_whole,
         line_error,
         fixed,
+        SHOOT_FLATS if flats else SHOOT_PAIRS,
     )
     return IsoFit(
         iso,
@@ -202,7 +205,7 @@ def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
         dark_line,
         drift,
         transfer,
-        fit_linearity(flat_levels, black.value, line_error),
+        fit_linearity(flat_levels, black.value, line_error) if flats else None,
         offsets,
         response,
         row,
@@ -214,7 +217,6 @@ def _fit_iso(iso, darks, flats, done: Iterator[int], total: int) -> IsoFit:
         tails,
         levels,
         flat_levels,
-        dark_map,
         good,
         is_whole,
         deviation,
@@ -235,7 +237,7 @@ def _longest(groups, main):
     return None if longest is main else longest
 
 
-def _restless(stack, good):
+def _restless(stack):
     """Return pixels whose temporal variance is too large for noise, and their jumps [DN]."""
     import scipy.special
 
@@ -245,7 +247,10 @@ def _restless(stack, good):
     # the median of a mean square lies below its expectation
     typical = middle * freedom / (2 * scipy.special.gammaincinv(freedom / 2, 0.5))
     limit = 2 * scipy.special.gammainccinv(freedom / 2, RESTLESS) / freedom * max(typical, 0.05)
-    found = (variance > 1.5 * limit) & good
+    found = variance > 1.5 * limit
+    # a pixel that jumps by J has offsets up to J and a variance near J^2 / 4; a hot one has far less
+    offset = stack.mean - np.median(stack.mean[::3, ::3])
+    found &= variance - typical > JUMP * offset**2
     excess = variance[found] - typical
     jump = float(np.mean(2 * np.sqrt(np.maximum(excess, 0)))) if found.any() else 0.0
     return found, jump
@@ -273,7 +278,7 @@ def _black_range(dark_line, offsets, shape, deviation, is_whole):
     return normal_range(dark_line.black, error, bias)
 
 
-def _read_flats(flats, black, dark_halves, good, period, darks, done, total, fixed):
+def _read_flats(flats, black, dark_halves, good, period, darks, done, total):
     """Return the flats' levels, the pattern of the response, the share of dead pixels, good pixels."""
     groups = group_flats(flats, black)
     stated = flats[0].frame.white_level
@@ -381,12 +386,13 @@ def line_of_reads(fits: Sequence[IsoFit]) -> tuple[Range, Range, float] | None:
     """
     from gpusim.fit.intervals import fit_line
 
+    fits = [fit for fit in fits if fit.bounded_read is None]
     if len(fits) < 2:
         return None
     x = np.array([1 / fit.gain**2 for fit in fits])
     y, errors = [], []
     for fit in fits:
-        value, low, high = fit.transfer.read
+        value, low, high = fit.read
         y.append(value**2)
         errors.append(max((high**2 - low**2) / 3.92, 1e-9))
     line = fit_line(x, np.array(y), np.square(errors))
@@ -394,11 +400,6 @@ def line_of_reads(fits: Sequence[IsoFit]) -> tuple[Range, Range, float] | None:
     read = root_of(normal_range(line.offset, deviations[0]))
     adc = root_of(normal_range(line.slope, deviations[1]))
     return read, adc, line.chance
-
-
-def mean_squares(level: Level) -> tuple[MeanSquare | None, MeanSquare | None]:
-    """Return the mean squares of rows and columns of a level."""
-    return level.row_square, level.column_square
 
 
 def chance_of_channels(transfer: Transfer) -> float:

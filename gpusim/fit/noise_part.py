@@ -20,10 +20,16 @@ from gpusim.fit.noise import SHOOT_DARKS, STEPS, IsoFit, chance_of_channels, lin
 from gpusim.fit.noise_plots import noise_plots
 from gpusim.fit.rounding import FINE
 from gpusim.fit.sorting import Summary
-from gpusim.fit.transfer import chance_of_curvature
+from gpusim.fit.steps import curve_lines
+from gpusim.fit.transfer import chance_of_curvature, read_of
 
 PATTERNS = ("pixel", ""), ("row", "row_"), ("column", "column_")
 FEW = 0.03  # excess kurtosis that is no tail
+BLACK_NOTES = {
+    "darks": "",
+    "stated": "stated by the files, not measured",
+    "bounds": "bounds: below the darkest pixels, and not so low that their noise would be below 0",
+}
 PROFILE = 0.1  # relative difference from a file's noise profile that is worth a line
 
 
@@ -43,7 +49,7 @@ def noise_part(fits: Sequence[IsoFit], summaries: Sequence[Summary]) -> Part:
         estimates |= {f"{key}{end}": one for key, one in _estimates(fit).items()}
     estimates |= _common_estimates(fits)
     unexplained = list(chain.from_iterable(_unexplained(fit, len(fits) > 1) for fit in fits))
-    unexplained += _profile_lines(fits[0], summaries)
+    unexplained += _profile_lines(fits[0], summaries) + curve_lines(summaries)
     return Part(
         "noise",
         estimates,
@@ -63,15 +69,17 @@ def _estimates(fit):
     def estimate(range_, unit, sources, note=""):
         return Estimate(*map(float, range_), unit, sources, note)
 
-    read_note = ""
-    if fit.transfer.read.low == 0 or fit.dark_deviation < FINE:
+    read_note = "all noise of one read of a pixel"
+    if fit.bounded_read is not None:
+        read_note = "bounds: the black level is not known"
+    elif fit.dark_deviation < FINE or (fit.darks and fit.read.low == 0):
         read_note = "rounding hides most of it"
     found = {
         "sensor.gain_dn_per_e": estimate(fit.transfer.gain, "DN/e-", both),
-        "sensor.black_level_dn": estimate(fit.black, "DN", darks),
-        "noise.read_e": estimate(
-            fit.transfer.read, "e-", both, read_note or "all noise of one read of a pixel"
+        "sensor.black_level_dn": estimate(
+            fit.black, "DN", darks or flats, BLACK_NOTES[fit.black_source]
         ),
+        "noise.read_e": estimate(fit.read, "e-", both, read_note),
         "noise.row_e": estimate(fit.in_electrons(fit.row), "e-", both),
         "noise.column_e": estimate(fit.in_electrons(fit.column), "e-", both),
     }
@@ -79,6 +87,8 @@ def _estimates(fit):
         error = math.sqrt(line.covariance[1, 1])
         key = f"sensor.gain_dn_per_e of {letter}"
         found[key] = estimate(normal_range(line.slope, error), "DN/e-", both)
+        if not fit.darks and fit.bounded_read is None:
+            found[f"noise.read_e of {letter}"] = estimate(read_of(line), "e-", both)
     full_well = full_well_of(fit)
     if full_well is not None:
         found["sensor.full_well_e"] = estimate(full_well, "e-", flats)
@@ -237,9 +247,11 @@ def _temperatures(fit, estimates):
 
 def findings_of(fit: IsoFit) -> list[Finding]:
     """Return the results of all tests of one ISO speed."""
-    dark = max(fit.darks, key=lambda level: level.count)
-    found = neighbour_findings(dark, "dark frames")
-    found += spectrum_findings(dark, "dark frames") + banding_findings(dark, "dark frames")
+    found: list[Finding] = []
+    if fit.darks:
+        dark = max(fit.darks, key=lambda level: level.count)
+        found += neighbour_findings(dark, "dark frames")
+        found += spectrum_findings(dark, "dark frames") + banding_findings(dark, "dark frames")
     bright = [level for level in fit.flats if not level.clipped and level.lags]
     if bright:
         found += neighbour_findings(bright[-1], f"flats ({bright[-1].names[0]})")
@@ -346,8 +358,15 @@ def _unknown(fits, estimates):
                 "reaches that, which the camera file has"
             )
         else:
-            yield "full well: no flat is saturated; shoot a pair that is overexposed in all channels"
-    if not any(key.startswith("noise.dark_current") for key in estimates):
+            yield "full well: no flat is saturated; shoot a pair of flats that is overexposed in all channels"
+    if fit.black_source == "bounds":
+        yield (
+            "black level and read noise: the files do not state a black level, there are bounds only; shoot two "
+            "or more frames with the lens capped, or give .npz with black_level"
+        )
+    if fit.offsets is None:
+        yield f"DSNU, fixed rows and columns, dark current, defects, tails: no dark frames; {SHOOT_DARKS}"
+    elif not any(key.startswith("noise.dark_current") for key in estimates):
         yield (
             "dark current: dark frames of one exposure time, or of an unknown one; shoot darks of two "
             "times that differ tenfold or more"
@@ -360,10 +379,10 @@ def _unknown(fits, estimates):
     if "noise.adc_dn" not in estimates:
         yield "converter noise: is part of the read noise; shoot darks and flats at two ISO speeds to separate it"
     if fit.linearity is None:
-        yield "linearity: needs four or more exposure times in one constant light"
+        yield "linearity: needs flats of four or more exposure times in one constant light"
     if fit.response is None:
         yield "PRNU: no unclipped pairs of flats in all channels"
-    if fit.drift is None:
+    if fit.drift is None and fit.darks:
         yield f"drift of the black level: {SHOOT_DARKS}"
     if any(level.count < 2 for level in fit.flats):
         yield "single flats are not used: their temporal noise needs pairs"

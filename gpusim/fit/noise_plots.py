@@ -46,14 +46,15 @@ def noise_plots(fits: Sequence[IsoFit]) -> tuple[Plot, ...]:
                     partial(_dark, fit),
                 )
             )
-        found.append(
-            Plot(
-                f"Spectra of dark frames{end}",
-                "Power of temporal noise along rows and along columns relative to white noise. A peak is "
-                "a periodic pattern, a slope is coloured noise.",
-                partial(_spectra, fit),
+        if fit.darks:
+            found.append(
+                Plot(
+                    f"Spectra of dark frames{end}",
+                    "Power of temporal noise along rows and along columns relative to white noise. A peak is "
+                    "a periodic pattern, a slope is coloured noise.",
+                    partial(_spectra, fit),
+                )
             )
-        )
         if fit.tails is not None:
             found.append(
                 Plot(
@@ -63,13 +64,14 @@ def noise_plots(fits: Sequence[IsoFit]) -> tuple[Plot, ...]:
                     partial(_tails, fit),
                 )
             )
-        found.append(
-            Plot(
-                f"Fixed patterns{end}",
-                "Means of rows and columns of dark frames, and of the response of flats.",
-                partial(_patterns, fit),
+        if fit.offsets is not None:
+            found.append(
+                Plot(
+                    f"Fixed patterns{end}",
+                    "Means of rows and columns of dark frames, and of the response of flats.",
+                    partial(_patterns, fit),
+                )
             )
-        )
     return tuple(found)
 
 

@@ -1,7 +1,7 @@
 """Shots that a fit starts from: raw files, each of one kind."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,9 @@ from gpusim.domain.short_repr import short_repr
 from gpusim.io.raw.raw_files import read_raw
 from gpusim.io.raw.raw_frame import RawFrame
 
-# content of a shot: no light; even light; colour patches; slanted edges; a checkerboard; even light
-# through the lens; steps of light
-KINDS = ("dark", "flat", "chart", "edges", "grid", "shading", "ramp")
+# content of a shot: no light; even light; any static scene, twice; colour patches; slanted edges; a
+# checkerboard; even light through the lens; steps of light
+KINDS = ("dark", "flat", "pairs", "chart", "edges", "grid", "shading", "ramp")
 
 
 @dataclass(frozen=True)
@@ -26,18 +26,29 @@ class Shot:
         index: Index of the frame in the file.
         kind: Its content, one of `KINDS`.
         settings: Fields of `RawFrame` in place of the file's.
+        step: Number that divides all values, and by which they are divided.
     """
 
     path: Path
     index: int = 0
     kind: str = ""
     settings: Mapping[str, Any] = field(default_factory=dict)
+    step: int = 1
 
     __repr__ = short_repr
 
     def read(self) -> RawFrame:
         """Return the frame. Raises as `read_raw`."""
-        return read_raw(self.path, self.index, **self.settings)
+        frame = read_raw(self.path, self.index, **self.settings)
+        if self.step == 1:
+            return frame
+        black, white = frame.black_level, frame.white_level
+        return replace(
+            frame,
+            values=frame.values // self.step,
+            black_level=black / self.step if black is not None else None,
+            white_level=float(white // self.step) if white is not None else None,
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ from gpusim.domain.errors import BadData
 from gpusim.domain.progress import announced
 from gpusim.fit.patterns import trend
 from gpusim.fit.shots import Shot
+from gpusim.fit.steps import common_step, used_steps
 from gpusim.io.raw.raw_frame import RawFrame
 
 EVEN = 0.1  # relative deviation of a frame's parts from a smooth surface that is still a flat
@@ -31,6 +32,9 @@ class Summary:
         unevenness: Standard deviation of parts of the frame from a smooth surface [DN].
         highest: Largest value [DN].
         is_whole: Whether values are whole numbers.
+        sketch: Medians of parts of the frame's middle [DN], less a smooth surface.
+        step: Power of two that divides all values; 0 if all are 0.
+        used: Levels and steps between used values there [DN].
     """
 
     shot: Shot
@@ -41,6 +45,9 @@ class Summary:
     unevenness: float
     highest: float
     is_whole: bool
+    sketch: np.ndarray
+    step: int = 1
+    used: tuple[tuple[float, float], ...] = ()
 
     @property
     def mean(self) -> float:
@@ -70,15 +77,19 @@ def _summary(shot):
     size = max(1, min(8, min(part.shape) // 3))
     height, width = (side // size * size for side in part.shape)
     blocks = part[:height, :width].reshape(height // size, size, width // size, size)
+    sketch = np.median(blocks, axis=(1, 3))
     return Summary(
         shot,
         replace(frame, values=np.empty((0, 0))),
         values.shape,
         means,
         float(high - low) / 2,
-        float(np.ptp(np.percentile(np.median(blocks, axis=(1, 3)), (15.866, 84.134)))) / 2,
+        float(np.ptp(np.percentile(sketch, (15.866, 84.134)))) / 2,
         float(values.max()),
         values.dtype.kind in "ui" or bool((values == np.rint(values)).all()),
+        sketch,
+        common_step(values),
+        used_steps(values[top * rows :, left * cols :][: SAMPLED * rows, : SAMPLED * cols]),
     )
 
 
@@ -103,11 +114,12 @@ def check_same_camera(summaries: Sequence[Summary]) -> None:
 
 
 def name_kinds(summaries: Sequence[Summary]) -> list[Summary]:
-    """Return the shots with a kind where content tells it: "dark", "flat" or "other".
+    """Return the shots with a kind where content tells it: "dark", "flat", "pairs" or "other".
 
     A dark frame is as even as noise and at the black level that its file states; without one, at
     the lowest level of all frames, if brighter frames have more noise. A frame whose level rises by
     less than DARK_RATE of the fastest frame's per second, equally in all channels, is dark, too.
+    Frames that show one static scene at one exposure are "pairs".
     """
     open_ = [one for one in summaries if not one.shot.kind]
     darks = [one for one in summaries if one.shot.kind == "dark"]
@@ -121,7 +133,12 @@ def name_kinds(summaries: Sequence[Summary]) -> list[Summary]:
         if not kind:
             kind = _kind(one, lowest, noisiest, fastest)
         named.append(replace(one, shot=replace(one.shot, kind=kind)))
-    return named
+    others = [one for one in named if one.shot.kind == "other"]
+    in_pairs = {id(one) for group in _scenes(others) if len(group) > 1 for one in group}
+    return [
+        replace(one, shot=replace(one.shot, kind="pairs")) if id(one) in in_pairs else one
+        for one in named
+    ]
 
 
 def _rate(one, lowest):
@@ -156,7 +173,22 @@ def group_darks(darks: Iterable[Summary]) -> list[list[Summary]]:
         degrees = None if frame.temperature is None else round(frame.temperature)
         key = frame.iso, frame.exposure_time, degrees
         groups.setdefault(key, []).append(one)
-    return sorted(groups.values(), key=lambda group: group[0].frame.exposure_time or 0.0)
+    split = [part for group in groups.values() for part in _split_darks(group)]
+    return sorted(split, key=lambda group: group[0].frame.exposure_time or 0.0)
+
+
+def _split_darks(group):
+    """Return dark frames of an unknown exposure time by level, others together."""
+    if group[0].frame.exposure_time is not None:
+        return [group]
+    parts: list[list[Summary]] = []
+    for one in sorted(group, key=lambda one: one.mean):
+        if parts and one.mean - parts[-1][-1].mean < max(one.deviation, 0.5) / 2:
+            parts[-1].append(one)
+        else:
+            parts.append([one])
+    order = {id(one): number for number, one in enumerate(group)}
+    return [sorted(part, key=lambda one: order[id(one)]) for part in parts]
 
 
 def group_flats(flats: Iterable[Summary], black: float) -> list[list[Summary]]:
@@ -184,3 +216,53 @@ def group_flats(flats: Iterable[Summary], black: float) -> list[list[Summary]]:
                 start = [one]
         levels.append(start)
     return sorted(levels, key=lambda group: np.mean([one.mean for one in group]))
+
+
+def group_scenes(pairs: Iterable[Summary]) -> list[list[Summary]]:
+    """Return frames of static scenes grouped by scene and exposure, two frames or more each.
+
+    Args:
+        pairs: The shots.
+
+    Raises:
+        BadData: There are no two frames of one scene.
+    """
+    found = _scenes(pairs)
+    if not any(len(group) > 1 for group in found):
+        names = f"{found[0][0].frame.name} is a single frame"
+        if len(found) > 1:
+            names = f"{found[0][0].frame.name} and {found[1][0].frame.name} are single frames"
+        raise BadData(
+            f"{names}: pairs are two frames or more of one static scene at one exposure time and ISO speed; "
+            "shoot each twice from a firm tripod"
+        )
+    return [group for group in found if len(group) > 1]
+
+
+def _scenes(frames):
+    """Return frames grouped by ISO speed, exposure time and scene."""
+    groups: list[list[Summary]] = []
+    for one in frames:
+        group = next((group for group in groups if _is_same_scene(group[0], one)), None)
+        if group is None:
+            groups.append([one])
+        else:
+            group.append(one)
+    return groups
+
+
+def _is_same_scene(first, second):
+    """Return whether two frames have the same settings and show the same, roughly."""
+    ours, theirs = first.frame, second.frame
+    if first.sketch.shape != second.sketch.shape:
+        return False
+    if (ours.iso, ours.exposure_time, ours.f_number) != (
+        theirs.iso,
+        theirs.exposure_time,
+        theirs.f_number,
+    ):
+        return False
+    if ours.exposure_time is None and abs(second.mean - first.mean) > SAME_LEVEL * first.mean:
+        return False
+    spread = max(float(np.std(first.sketch)), EVEN / 2 * abs(first.mean), first.deviation / 4)
+    return float(np.std(second.sketch - first.sketch)) < spread / 2

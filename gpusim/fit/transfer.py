@@ -14,6 +14,7 @@ from gpusim.fit.intervals import (
     fit_line,
     fit_polynomial,
     normal_range,
+    root_of,
 )
 from gpusim.fit.levels import Level
 from gpusim.fit.rounding import before_rounding
@@ -63,20 +64,15 @@ class Transfer:
     @property
     def read(self) -> Range:
         """Noise of a read without signal [e-], with its interval."""
-        offset, gain = self.line.offset, self.line.slope
-        (var_offset, both), (_, var_gain) = self.line.covariance
-        square = offset / gain**2
-        slopes = np.array([1 / gain**2, -2 * offset / gain**3])
-        error = math.sqrt(
-            max(
-                slopes[0] ** 2 * var_offset
-                + 2 * slopes[0] * slopes[1] * both
-                + slopes[1] ** 2 * var_gain,
-                0.0,
-            )
-        )
-        ends = normal_range(square, error)
-        return Range(*(math.sqrt(max(part, 0.0)) for part in ends))
+        return read_of(self.line)
+
+
+def read_of(line: Line) -> Range:
+    """Return the noise without signal [e-] of a photon transfer line, with its interval."""
+    offset, gain = line.offset, line.slope
+    slopes = np.array([1 / gain**2, -2 * offset / gain**3])
+    error = math.sqrt(max(float(slopes @ line.covariance @ slopes), 0.0))
+    return root_of(normal_range(offset / gain**2, error))
 
 
 def find_clipping(flats: Sequence[Level], darks: Sequence[Level], white: float | None) -> None:
@@ -135,6 +131,7 @@ def fit_transfer(
     is_whole: bool,
     line_error: float,
     spread: float,
+    advice: str = SHOOT_FLATS,
 ) -> Transfer:
     """Fit the photon transfer line through dark frames and flats that are not clipped.
 
@@ -146,6 +143,7 @@ def fit_transfer(
         is_whole: Whether values are rounded to whole numbers.
         line_error: Variance of a frame's mean from rows and columns [DN^2].
         spread: Spatial variance of dark pixels [DN^2].
+        advice: Shots to take if the line cannot be fitted.
 
     Returns:
         The line; errors are from the statistics of the points.
@@ -182,8 +180,8 @@ def fit_transfer(
         fitted = np.maximum(line.at(signal), 1e-6)
     if not line.slope > SIGNIFICANT * math.sqrt(line.covariance[1, 1]):
         raise BadData(
-            f"the noise of the flats does not rise with their light ({used[0][1].names[0]}): they are "
-            f"clipped, averaged or denoised; {SHOOT_FLATS}"
+            f"the noise does not rise with the light ({used[0][1].names[0]}): the light is too even, or the "
+            f"frames are clipped, averaged or denoised; {advice}"
         )
     letters = [letter for _, _, letter in used]
     curvature = (0.0, math.inf)

@@ -187,7 +187,7 @@ ROWS = {
     "fit": {
         **{
             kind: ("a.dng -o out.toml", f"--{kind} b.dng c.dng")
-            for kind in ("darks", "flats", "chart", "edges", "grid", "shading", "ramp")
+            for kind in ("darks", "flats", "pairs", "chart", "edges", "grid", "shading", "ramp")
         },
         "out": ("a.dng -o out.toml", "-o other.toml"),
         "page": ("a.dng -o out.toml", "--page page.html"),

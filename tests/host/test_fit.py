@@ -130,9 +130,8 @@ def test_wrong_shots_are_refused_in_one_line(folder, tmp_path, capsys):
     save(CAMERA, tmp_path / "iso.npz", maps, 0.1, 4000, rng, 100)
     with np.load(tmp_path / "iso.npz") as stored:
         np.savez(tmp_path / "iso.npz", **(dict(stored) | {"iso": 800.0}))
-    assert "no dark frames at ISO 800" in refused(
-        tmp_path, folder, "--flats", tmp_path / "iso.npz", capsys=capsys
-    )
+    (line,) = gs.fit(folder, flats=tmp_path / "iso.npz").failed
+    assert line.startswith("noise at ISO 800: no dark frames at ISO 800")
     Image.fromarray(np.zeros((8, 8, 3), np.uint8)).save(tmp_path / "a.jpg")
     line = refused(tmp_path, tmp_path / "a.jpg", capsys=capsys)
     assert "JPEG" in line and "shoot raw" in line
