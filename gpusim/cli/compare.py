@@ -68,16 +68,6 @@ class CompareCameraRequest(Options):
     json: str | None = option(metavar="FILE", help="also write the statistics to a JSON file")
 
 
-def _require_folder(path: str | None) -> None:
-    """Raise BadFile if the folder of an output does not exist: a misspelt one would not be noticed."""
-    from pathlib import Path
-
-    from gpusim.domain.errors import BadFile
-
-    if path and not Path(path).absolute().parent.is_dir():
-        raise BadFile(path, "its folder does not exist; make it first, or name another one")
-
-
 def compare(request: CompareCameraRequest) -> int:
     """Run `gpusim compare`.
 
@@ -101,7 +91,6 @@ def compare(request: CompareCameraRequest) -> int:
     elif not (request.files or request.darks or request.flats):
         request.refuse("base_iso", "only the noise of darks and flats depends on it")
     for path in (request.page, request.json):
-        _require_folder(path)
         check_output(path)
     settings = {} if request.cfa is None else {"cfa": request.cfa}
     found = compare_camera(
