@@ -27,6 +27,7 @@ from gpusim.io.raw.raw_frame import RawFrame
 HELD_OUT, CAMERAS = 1000, 20
 SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
 SHARPNESS_SEEDS = range(8000, 8020)
+TURNED_SEEDS = range(8020, 8026)
 DISTORTION_SEEDS = (*range(5001, 5007), *range(5008, 5014))
 SHADING_SEEDS = range(6020, 6040)
 BLACK = np.array([[64.0]])
@@ -150,6 +151,17 @@ def test_mtf50_of_random_lenses():
     assert hits.mean() >= 0.95
 
 
+def test_squares_turned_both_ways_cancel_leaning_astigmatism():
+    found = [judge_sharpness(seed, leans=True, is_turned=True, count=4) for seed in TURNED_SEEDS]
+    errors, hits, _ = (np.concatenate(one) for one in zip(*found, strict=True))
+    print(
+        f"MTF50, turned both ways: |error| 95 % {100 * np.percentile(np.abs(errors), 95):.2f} %, max "
+        f"{100 * np.abs(errors).max():.2f} %, intervals hold {hits.mean():.3f} of {len(hits)}"
+    )
+    assert np.abs(errors).max() < 0.02
+    assert hits.mean() >= 0.95
+
+
 def slanted_mtf50(values):
     """MTF50 [cycle/pixel] along the normal of one edge through the middle, in bins of 1/8 pixel, without a window."""
     down, across = (part.sum() for part in np.gradient(values))
@@ -185,7 +197,7 @@ def test_a_camera_file_gives_edges_of_the_same_mtf50(tmp_path):
         scene = gs.chart("slanted-edge", size=(96, 96), samples_per_pixel=8, angle_deg=angle)
         raw = gs.Simulator(camera, device="numpy").expose(scene).raw(seed=1)
         seen = slanted_mtf50(np.asarray(raw, float).reshape(96, 96))
-        truth = edges.mtf50(otfs[ACROSS + 1], is_across)
+        truth = edges.mtf50(otfs["Y"][ACROSS + 1], is_across)
         print(f"simulated again at {angle:g} degrees: {seen:.4f}, truth {truth:.4f}")
         assert seen == pytest.approx(truth, rel=0.02)
 
