@@ -30,6 +30,7 @@ BLACK_NOTES = {
     "stated": "stated by the files, not measured",
     "bounds": "bounds: below the darkest pixels, and not so low that their noise would be below 0",
 }
+USUAL_BITS = (8, 10, 12, 14, 16)
 PROFILE = 0.1  # relative difference from a file's noise profile that is worth a line
 
 
@@ -56,14 +57,16 @@ def noise_part(fits: Sequence[IsoFit], summaries: Sequence[Summary]) -> Part:
         _settings(fits, estimates, summaries),
         noise_plots(fits),
         tuple(unexplained),
-        tuple(_unknown(fits, estimates)),
+        tuple(_unknown(fits, estimates, summaries)),
     )
 
 
 def _estimates(fit):
     """Return the estimates of one ISO speed by camera key."""
-    darks = tuple(chain.from_iterable(level.names for level in fit.darks))
-    flats = tuple(chain.from_iterable(level.names for level in fit.flats))
+    darks, flats = (
+        tuple(dict.fromkeys(chain.from_iterable(level.names for level in levels)))
+        for levels in (fit.darks, fit.flats)
+    )
     both = darks + flats
 
     def estimate(range_, unit, sources, note=""):
@@ -174,12 +177,19 @@ def _common_estimates(fits):
     return found
 
 
+def _known_white(fit, summaries):
+    """Return the largest value [DN] that was reached or is stated, or None."""
+    return fit.transfer.white or summaries[0].frame.white_level
+
+
 def _settings(fits, estimates, summaries):
     """Return values of the camera file by section and key."""
     fit = fits[0]
     black = max(math.floor(fit.black.value + 0.5), 0)
-    white = fit.transfer.white or summaries[0].frame.white_level
     top = max(one.highest for one in summaries)
+    white = _known_white(fit, summaries)
+    if white is None and fit.is_whole:
+        white = next((2.0**bits - 1 for bits in USUAL_BITS if 2.0**bits > top), top)
     white = max(white or top, top)
     sensor = {
         "cfa": list(summaries[0].frame.cfa),
@@ -348,9 +358,14 @@ def _profile_lines(fit, summaries):
     return []
 
 
-def _unknown(fits, estimates):
+def _unknown(fits, estimates, summaries):
     """Return lines about numbers that the shots do not give."""
     fit = fits[0]
+    if fit.is_whole and _known_white(fit, summaries) is None:
+        yield (
+            "bits: no value is clipped and the files state no white level, the next usual number is taken; shoot a "
+            "pair of flats that is overexposed in all channels"
+        )
     if not any(key.startswith("sensor.full_well_e") for key in estimates):
         if fit.transfer.white is not None:
             yield (
@@ -358,7 +373,10 @@ def _unknown(fits, estimates):
                 "reaches that, which the camera file has"
             )
         else:
-            yield "full well: no flat is saturated; shoot a pair of flats that is overexposed in all channels"
+            yield (
+                "full well: no flat is saturated, the camera file has what fills the converter; shoot a pair of flats "
+                "that is overexposed in all channels"
+            )
     if fit.black_source == "bounds":
         yield (
             "black level and read noise: the files do not state a black level, there are bounds only; shoot two "

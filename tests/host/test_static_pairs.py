@@ -45,11 +45,25 @@ def test_pairs_give_gain_and_read_noise(pairs, tmp_path, capsys):
     printed = capsys.readouterr().out
     assert "stated by the files" in printed and "not known: PRNU" in printed
     assert "not known: DSNU, fixed rows and columns" in printed
+    assert ", 6 frames" in out.read_text()
     camera = gs.open_camera(out)
     # three pairs of 9,000 pixels: standard errors of 1.5 % and 3 %
     assert camera.sensor.gain == pytest.approx(0.4, rel=0.08)
     assert camera.sensor.noise.read == pytest.approx(4, rel=0.15)
     assert camera.sensor.black_level == 128
+
+
+def test_bits_that_nothing_states_are_usual_ones(tmp_path):
+    shoot_pairs(CAMERA, tmp_path, levels=(0.15, 0.45))
+    for path in tmp_path.glob("*"):
+        with np.load(path) as stored:
+            kept = {name: stored[name] for name in stored if name != "white_level"}
+        assert 1023 < kept["dn"].max() < 2048 or "0.15" in path.name
+        np.savez(path, **kept)
+    found = gs.fit(pairs=sorted(tmp_path.glob("*")))
+    sensor = found.camera.sensor
+    assert sensor.bits == 12 and any(line.startswith("bits: ") for line in found.unknown)
+    assert sensor.full_well == pytest.approx((4095 - 128) / sensor.gain, rel=0.01)
 
 
 def test_content_tells_pairs_and_darks_make_them_whole(pairs, tmp_path):
