@@ -154,7 +154,7 @@ ONE_OF = {
     "test_stage_agrees_with_its_reference": 2,
 }
 
-# Tests of 0.5 s and more on one core, most of which have shorter siblings: slow tests. Measured with empty caches.
+# Tests of 0.3 s and more on one core, most of which have shorter siblings: slow tests. Measured with empty caches.
 LONG = frozenset((HERE / "long.txt").read_text("utf-8").splitlines())
 
 
