@@ -178,8 +178,6 @@ def pytest_collection_modifyitems(config, items):
     for item in items:
         if getattr(item, "originalname", "") == FIRST_CASES and config.option.markexpr != "quick":
             item.add_marker("slow")
-        if item.nodeid.removeprefix("tests/") in LONG:
-            item.add_marker("slow")
         if item.get_closest_marker("quick"):
             assert any(item.path.is_relative_to(place) for place in QUICK), item.nodeid
         if hasattr(item, "callspec") and "frames" in item.path.parts:
@@ -199,3 +197,6 @@ def pytest_collection_modifyitems(config, items):
             number = counted[item.originalname] = counted.get(item.originalname, -1) + 1
             if number % of != number // of % of:
                 item.add_marker("slow")
+    for item in items:  # after the others, so that no long sibling takes the place
+        if item.nodeid.removeprefix("tests/") in LONG:
+            item.add_marker("slow")
