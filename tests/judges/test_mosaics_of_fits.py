@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from test_optics_of_fits import judge_color, judge_distortion
+from test_optics_of_fits import judge_color, judge_distortion, judge_sharpness
 
 X_TRANS = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
 QUAD = ("RRGG", "RRGG", "GGBB", "GGBB")
@@ -25,3 +25,11 @@ def test_distortion_of_mosaics(seed, cfa):
 def test_colour_of_mosaics(seed, cfa):
     found, _ = judge_color(seed, cfa)
     assert np.percentile(found, 95) < 1
+
+
+@pytest.mark.parametrize("cfa", [X_TRANS, QUAD, RCCB, CYGM, MONO])
+@pytest.mark.parametrize("seed", [9101, 9102, 9103])
+def test_sharpness_of_mosaics(seed, cfa):
+    errors, hits, _ = judge_sharpness(seed, cfa=cfa)
+    assert np.percentile(np.abs(errors), 95) < 0.02
+    assert hits.mean() > 0.9
