@@ -39,6 +39,7 @@ EMPTY = {
     "copy_gbps": 0.0,
     "error": "",
 }
+SAME_RATE = 0.8  # of the fastest one's copies: devices that are alike but for what else they do now
 IDENTITY = ("device", "driver", "version")  # of devices that give the same bits
 KINDS = {key: type(value) for key, value in EMPTY.items()}
 PATIENCE = 600  # [s] until a failed device is tried again: the machine may be less busy then
@@ -61,6 +62,7 @@ log = logging.getLogger(__name__)
 def best(backend: str = "auto", refresh: bool = False) -> dict:
     """Return the entry of the preferred device: a GPU, then OpenCL on the CPU by the newest driver.
 
+    Of several devices of one make it is the first, unless another one copies much faster now.
     Drivers for the CPU without float64 come last: they are slow.
 
     If no OpenCL device works and "auto" takes Warp's CPU device, which is slow, the log gives the
@@ -92,7 +94,12 @@ def best(backend: str = "auto", refresh: bool = False) -> dict:
             f"no usable {'' if backend == 'auto' else backend + ' '}device ({causes}); "
             "--device numpy always works"
         )
-    chosen = max(usable, key=_preference)
+    fastest = max(usable, key=_preference)
+    chosen = next(  # the first of devices that are alike: measured rates differ a little each time
+        entry
+        for entry in usable
+        if _make(entry) == _make(fastest) and entry["copy_gbps"] >= SAME_RATE * fastest["copy_gbps"]
+    )
     if backend == "auto" and chosen["name"] == "warp:cpu":
         log.warning(
             "gpusim: no OpenCL device works (%s), so Warp runs on one processor core; install %s",
@@ -118,11 +125,13 @@ def gpus(refresh: bool = False) -> list[str]:
         causes = " ".join(causes.split())[:200] or "none was found"
         raise DeviceError(f"gpus: no GPU works here ({causes})")
 
-    def kind(entry):
-        return entry["name"].partition(":")[0], *(entry[key] for key in IDENTITY)
-
     best = max(usable, key=_preference)
-    return [entry["name"] for entry in usable if kind(entry) == kind(best)]
+    return [entry["name"] for entry in usable if _make(entry) == _make(best)]
+
+
+def _make(entry):
+    """What devices of one make, driver and backend share."""
+    return entry["name"].partition(":")[0], *(entry[key] for key in IDENTITY)
 
 
 def _preference(entry):

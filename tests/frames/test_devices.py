@@ -212,6 +212,20 @@ def test_the_better_driver_is_chosen_in_any_order(better, worse, monkeypatch):
         assert probe.best()["driver"] == better["driver"]
 
 
+@pytest.mark.parametrize(
+    "rates, expected",
+    [((400, 410), "opencl:0"), ((410, 400), "opencl:0"), ((200, 400), "opencl:1")],
+)
+def test_the_first_of_devices_that_are_alike_is_chosen(rates, expected, monkeypatch):
+    """Every process takes the same one of two GPUs, unless it is busy."""
+    entries = [
+        {**GOOD, "gpu": True, "name": f"opencl:{n}", "copy_gbps": rate}
+        for n, rate in enumerate(rates)
+    ]
+    monkeypatch.setattr(probe, "devices", lambda refresh=False: entries)
+    assert probe.best()["name"] == expected
+
+
 @pytest.mark.parametrize("ms", [0.0, 1e-6])  # rusticl 22.3 states 1e-6
 def test_a_driver_whose_times_are_impossible_is_unusable(ms, monkeypatch):
     device = open_device("opencl:pocl")

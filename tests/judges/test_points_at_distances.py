@@ -107,13 +107,7 @@ def disc():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "device",
-    [
-        pytest.param(kind, marks=[] if kind.startswith("opencl") else pytest.mark.slow)
-        for kind in ALL_KINDS
-    ],
-)
+@pytest.mark.parametrize("device", ALL_KINDS)
 def test_a_point_before_shadows(device, disc):
     """1e9 at 2 m through six blades focused at 5 m: its own disc, and far from it its rim's and its streaks' light."""
     mean, plan = exposed(scene_of(NEAR), device)
