@@ -125,7 +125,10 @@ class WarpDevice(Taped):
             elif not self.is_gpu:
                 return None
             elif dlpack_kind(values) in CUDA:
-                array = wp.from_dlpack(values)  # its owner's stream is waited for
+                with wp.ScopedDevice(
+                    f"cuda:{values.__dlpack_device__()[1]}"
+                ):  # torch exports from no other
+                    array = wp.from_dlpack(values)  # its owner's stream is waited for
             elif hasattr(values, "__cuda_array_interface__"):
                 array = self._by_interface(values)
             else:

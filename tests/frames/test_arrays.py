@@ -1,5 +1,6 @@
 """Arrays of devices seen by others, and arrays of others taken by devices."""
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -406,10 +407,12 @@ def test_warp_is_told_of_cuda_memory_rightly(monkeypatch):
             staticmethod(wp.dtype_to_numpy),
         )
         synchronize_device = staticmethod(lambda of: calls.append("waited"))
+        ScopedDevice = staticmethod(lambda of: calls.append(("on", of)) or nullcontext())
 
     monkeypatch.setattr(device, "_wp", Spy)
     tensor = Tensor(cube(), kind=2)
-    assert device.array(tensor) is real and calls == [("dlpack", tensor)]
+    # PyTorch exports tensors of its current device only
+    assert device.array(tensor) is real and calls == [("on", "cuda:0"), ("dlpack", tensor)]
 
     class Made(wp.array):
         def __new__(cls, values, **options):

@@ -143,8 +143,10 @@ def _judge(found, path, a, b):
     assert abs(found["slopes"][-1]) <= 0.01
 
 
-def test_all_cameras(found):
+def test_all_cameras(catalogue, found):
     cameras, slopes, intercepts = (found[key] for key in ("cameras", "slopes", "intercepts"))
+    if len(cameras) < CAMERAS:
+        pytest.skip("other processes have tested some of the cameras; `-n 0` tests all in one")
     print(
         f"{len(cameras)} cameras, {len(slopes)} settings: a within {100 * np.abs(slopes).max():.3f} %; b of "
         f"{len(intercepts)} within {100 * np.abs(intercepts).max():.3f} %, {found['within']} within their intervals, "

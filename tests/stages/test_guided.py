@@ -26,7 +26,7 @@ from gpusim.kernels.processor.interpolate import interpolate
 ROLLS = [(1, 0), (2, 3), (3, 3)]
 # all tables on one device, three and four channels on all
 ON_DEVICES = [
-    (name, device)
+    pytest.param(name, *getattr(device, "values", (device,)), marks=getattr(device, "marks", ()))
     for name in BUILT_IN
     for device in (ALL_KINDS if name in ("x-trans", "rgbw") else ["opencl"])
 ]
