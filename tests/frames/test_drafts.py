@@ -131,10 +131,13 @@ def test_a_sketch_shows_what_changes(name):
     ],
 )
 def test_what_has_no_draft_is_planned(change):
-    scene = gs.chart("deadleaves", size=(120, 96))
-    loop = gs.Simulator(BASE, device="opencl", tolerance=TOLERANCE).loop(scene)
+    scene, base = (
+        gs.chart("deadleaves", size=(120, 96)),
+        camera_with(BASE, sensor={"fill_factor": 0.5}),
+    )
+    loop = gs.Simulator(base, device="opencl", tolerance=TOLERANCE).loop(scene)
     loop.exposure  # noqa: B018
-    camera = camera_with(BASE, **change)
+    camera = camera_with(base, **change)
     found = numpy(loop.update(camera=camera, drafts=True))
     assert not loop.plan.is_draft
     assert np.array_equal(
