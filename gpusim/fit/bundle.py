@@ -21,6 +21,9 @@ PINNED = 1e12  # weight of a parameter that is not fitted
 ROBUST = 2.0  # robust standard deviations from which a corner counts less (Huber)
 ODD = 4.0  # times the median residual of the views, from which one is not used
 LEAST_ODD = 0.3  # [pixel]
+STRAY = 8.0  # robust standard deviations from which a corner is none of the board's
+LEAST_STRAY = 0.5  # [pixel]
+FEW_STRAYS = 0.05  # share of corners; if more are away, the model is wrong
 GRID = 17  # places along a side of the frame at which the error of the whole model is looked up
 DRAWS = 400
 NOISE_FREEDOM = 1000  # degrees of freedom of the corners' noise: as good as known
@@ -261,3 +264,29 @@ def choose_views(boards: Sequence[Board], size: tuple[int, int], focal: float) -
             return kept
         del kept[int(miss.argmax())]
     return kept if len(kept) < len(boards) else list(boards)
+
+
+def drop_strays(boards: Sequence[Board], found: Geometry) -> list[Board]:
+    """Return the views without corners far from the model, as of things next to the board.
+
+    Args:
+        boards: Views.
+        found: Their geometry.
+
+    Returns:
+        The views; all corners if many are away.
+    """
+    away = [np.hypot(*left.T) for left in found.residuals]
+    noise = 1.4826 * np.median(np.abs(np.concatenate(found.residuals)))
+    near = [one < max(STRAY * noise, LEAST_STRAY) for one in away]
+    if np.mean(np.concatenate(near)) < 1 - FEW_STRAYS:
+        return list(boards)
+    return [
+        replace(
+            board,
+            places=board.places[own],
+            corners=board.corners[own],
+            offsets={letter: values[own] for letter, values in board.offsets.items()},
+        )
+        for board, own in zip(boards, near, strict=True)
+    ]

@@ -174,12 +174,15 @@ def fit_doubling(rates: dict) -> tuple[Range, float, float] | None:
     return doubling, reference, rate
 
 
+SURE = 3.0  # standard errors by which more pixels must lie above the others than below
+
+
 @dataclass(frozen=True)
 class Hot:
     """Pixels with additional dark current.
 
     Args:
-        count: Pixels above the threshold.
+        count: Pixels above the threshold, less those as far below.
         threshold: [DN/s].
         share: Share of pixels with additional dark current, from an exponential distribution.
         scale: Its mean [DN/s].
@@ -194,24 +197,27 @@ class Hot:
 def find_hot(excess: np.ndarray, hot: np.ndarray, seconds: float) -> Hot | None:
     """Return the hot pixels' share and mean dark current; None if there are fewer than 5.
 
-    An exponential distribution has no memory: the excess over any threshold has the same mean.
+    An exponential distribution has no memory: the excess over any threshold has the same mean. Pixels with telegraph
+    noise are as often far below the others as above: the lower ones are taken off.
 
     Args:
         excess: Dark signal between two exposure times, less its median [DN].
-        hot: Pixels that are far above the others.
+        hot: Pixels that are far from the others.
         seconds: Difference of the exposure times [s].
     """
-    values = excess[hot & (excess > 0)] / seconds
-    count = len(values)
-    if count < 5:
+    values = excess[hot] / seconds
+    above, below = values[values > 0], -values[values < 0]
+    count, seen = len(above) - len(below), len(values)
+    if count < max(5, SURE * math.sqrt(seen)):
         return None
-    threshold = float(values.min())
-    scale = max(float(values.mean()) - threshold, 1e-9)
+    threshold = float(above.min())
+    scale = max(float(above.sum() - below.sum()) / count - threshold, 1e-9)
     share = count / excess.size * math.exp(threshold / scale)
-    relative = math.sqrt((1 + (threshold / scale) ** 2) / count)
+    spread = math.sqrt(seen) / count
+    relative = spread * math.hypot(1, threshold / scale)
     return Hot(
         count,
         threshold,
         normal_range(share, share * relative),
-        normal_range(scale, scale / math.sqrt(count)),
+        normal_range(scale, scale * spread),
     )

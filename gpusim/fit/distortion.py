@@ -14,6 +14,7 @@ from gpusim.fit.bundle import (
     Geometry,
     calibrate,
     choose_views,
+    drop_strays,
     displacement_error,
     jackknife_reach,
 )
@@ -77,6 +78,13 @@ def fit_distortion(
     ]
     boards = kept
     found = calibrate(boards, (cols, rows), nominal)
+    boards = drop_strays(kept, found)
+    every_corner, used = (sum(len(one.places) for one in views) for views in (kept, boards))
+    if used < every_corner:
+        faults.append(
+            f"grid: {every_corner - used} of {every_corner} corners are far from the model, not used"
+        )
+        found = calibrate(boards, (cols, rows), nominal)
     spread = float(np.sqrt(np.mean(np.concatenate(found.residuals) ** 2) * 2))
     if spread > WORST:
         raise BadData(

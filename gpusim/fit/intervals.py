@@ -8,6 +8,7 @@ import numpy as np
 
 CONFIDENCE = 0.95
 Z = 1.959963984540054  # of a normal distribution, both sides of 95 %
+MISFIT = 3e-4  # chance of residuals below which a line is not right
 
 
 class MeanSquare(NamedTuple):
@@ -162,6 +163,23 @@ def fit_line(x, y, variance) -> Line:
     """Return the weighted line through points; see `fit_polynomial`."""
     (offset, slope), covariance, squares = fit_polynomial(x, y, variance, 1)
     return Line(float(offset), float(slope), covariance, squares, len(x) - 2)
+
+
+def widened_by_misfit(line: Line) -> Line:
+    """Return a line whose errors hold its misfit too, if residuals are larger than chance explains.
+
+    Args:
+        line: The line.
+
+    Returns:
+        It, with covariances times chi-square over its degrees of freedom if that is no chance.
+
+    Source:
+        Birge, "The calculation of errors by the method of least squares", Phys. Rev. 40 (1932) 207.
+    """
+    if line.chance > MISFIT:
+        return line
+    return line._replace(covariance=line.covariance * line.chi_square / line.freedom)
 
 
 def chance_of(chi_square: float, freedom: float) -> float:

@@ -238,12 +238,13 @@ def _settings(fits, estimates, summaries):
 
 def _temperatures(fit, estimates):
     """Return dark current, its temperature and its doubling, if the temperature is known."""
-    degrees = [degree for degree in fit.dark_line.rates if degree is not None]
-    if not degrees:
+    rates = {degree: pair for degree, pair in fit.dark_line.rates.items() if degree is not None}
+    if not rates:
         return {}
     doubling = fit_doubling(fit.dark_line.rates)
     if doubling is None:
-        degree, rate = degrees[0], fit.dark_line.rates[degrees[0]][0]
+        degree = min(rates, key=lambda one: rates[one][1])  # the best known
+        rate = rates[degree][0]
         found = {}
     else:
         range_, degree, rate = doubling
@@ -266,6 +267,7 @@ def findings_of(fit: IsoFit) -> list[Finding]:
     if bright:
         found += neighbour_findings(bright[-1], f"flats ({bright[-1].names[0]})")
     transfer = fit.transfer
+    low, high = transfer.gains
     bend = transfer.curvature[0] * transfer.signal.max() / max(transfer.line.slope, 1e-12)
     found.append(
         Finding(
@@ -276,7 +278,7 @@ def findings_of(fit: IsoFit) -> list[Finding]:
     found.append(
         Finding(
             "variances scatter about their line more than their errors: chi-square "
-            f"{transfer.line.chi_square:.0f} for {transfer.line.freedom}",
+            f"{transfer.line.chi_square:.0f} for {transfer.line.freedom}; gains from {low:.4g} to {high:.4g} DN/e-",
             transfer.line.chance,
         )
     )

@@ -15,12 +15,14 @@ from gpusim.fit.intervals import (
     fit_polynomial,
     normal_range,
     root_of,
+    widened_by_misfit,
 )
 from gpusim.fit.levels import Level
 from gpusim.fit.rounding import before_rounding
 
 COLLAPSED = 0.6  # part of the expected variance below which a level is saturated
 SIGNIFICANT = 5.0  # standard errors of a gain that is one
+BRIGHT = 0.01  # part of the largest signal that has light
 CLIPPED = 1e-3  # share of pixels at the largest value of all frames
 SHOOT_FLATS = "shoot pairs of evenly lit frames from a tenth to nine tenths of saturation, and one pair beyond it"
 
@@ -55,6 +57,13 @@ class Transfer:
     def gain(self) -> Range:
         """System gain [DN/e-]."""
         return normal_range(self.line.slope, self.gain_error)
+
+    @property
+    def gains(self) -> tuple[float, float]:
+        """Smallest and largest slope from no light to a level with light [DN/e-]."""
+        bright = self.signal > BRIGHT * self.signal.max()
+        slopes = (self.variance - self.line.offset)[bright] / self.signal[bright]
+        return float(slopes.min()), float(slopes.max())
 
     @property
     def gain_error(self) -> float:
@@ -192,7 +201,7 @@ def fit_transfer(
         flats, math.sqrt(max(_dark_variance(darks) + lines + spread, 0.0))
     )
     return Transfer(
-        line,
+        widened_by_misfit(line),
         _channel_lines(signal, variance, errors, letters),
         signal,
         variance,
