@@ -18,6 +18,7 @@ SADDLE_LEAST = 0.35  # of the strongest corners' strength; a single square's cor
 SAME = 4.5  # [pixel] within which saddles are one
 SEEDS = 8  # corners from which boards are grown
 SOFT = 0.6  # [pixel] Gaussian against noise before detection
+FAINT = 0.15  # of the picture's contrast, at a corner in the dark part of unevenly lit frames
 WINDOW = 0.4  # of the distance of corners, around each of them
 WIDEST = 14.0  # [pixel]
 
@@ -238,7 +239,7 @@ def _corner_near(cv2, picture, guess, step, contrast):
     x, y = np.rint(around).astype(int)
     seen = picture[y, x].astype(float)
     waves = np.abs(np.fft.rfft(seen)) / 16
-    is_saddle = waves[2] > 0.4 * contrast and waves[1] < 0.25 * waves[2]
+    is_saddle = waves[2] > FAINT * contrast and waves[1] < 0.25 * waves[2]
     return corner if is_saddle else None
 
 
