@@ -14,8 +14,8 @@ from gpusim.fit.bundle import (
     Geometry,
     calibrate,
     choose_views,
-    drop_strays,
     displacement_error,
+    drop_strays,
     jackknife_reach,
 )
 from gpusim.fit.estimate import Estimate, Part, Plot

@@ -96,7 +96,7 @@ def test_noise_of_a_real_sensor(campaign, fitted):
     assert slopes.min() < gain.low < gain.high < slopes.max()
     weight = 1 / (variance + dark) ** 2
     assert gain.low < (weight * signal) @ variance / ((weight * signal) @ signal) < gain.high
-    # telegraph pixels, which the fit counts apart, have 7 % of the dark variance: 3.6 % of its root
+    # noisy pixels, of which the fit counts the worst apart, add 7 % to the dark variance: 3.6 % to its root
     read = found["noise.read_e"].value * gain.value
     assert 0.95 < read / np.sqrt(dark - ROUNDING) < 1.0
 
