@@ -11,11 +11,12 @@ from gpusim.data.lights import light_of
 from gpusim.data.reflectances import reflectances
 from gpusim.data.weights import product_weights
 from gpusim.domain.errors import BadData
-from gpusim.domain.spectrum import Spectrum, energy_from_photons, photons_from_energy
+from gpusim.domain.spectrum import Spectrum, photons_from_energy
 from gpusim.fit.chart_finding import COLUMNS, ROWS, Patches, read_patches
+from gpusim.fit.curve_prior import NODES
 from gpusim.fit.estimate import Estimate, Part, Plot
 from gpusim.fit.planes import checked_frames
-from gpusim.fit.sensitivity import NODES, Sensitivity, fit_sensitivity, guess_light
+from gpusim.fit.sensitivity import Sensitivity, fit_sensitivity, guess_light
 from gpusim.io.raw.raw_frame import RawFrame
 
 GUESSES = (
@@ -28,10 +29,11 @@ GUESSES = (
     "daylight-7500K",
 )
 LEAST_PATCHES = 18
-DRAWS = 40  # of curves, for the intervals of matrices
+DRAWS = 40  # of curves, for the intervals of matrices and of colour errors
 STEEP = 0.02  # slope of the light over half of the chart that is worth a line
 VISIBLE = 1.0  # CIEDE2000 of a patch that is worth a line
 TRAINING = "objects"
+OTHERS = ("munsell", "dupont", "objects", "skin")  # surfaces whose colour errors are expected
 
 
 def fit_color(
@@ -90,6 +92,17 @@ def fit_color(
             key: Estimate(value[0], value[1], value[2], "", sources, "XYZ of surfaces in D65")
             for key, value in one.items()
         }
+    expected = {}
+    if len(fit.letters) >= 3:
+        expected = {
+            name: _expected_errors(fit, light) for name, light in zip(names, photons, strict=True)
+        }
+    for name, sizes in expected.items():
+        for share, errors in sizes.items():
+            middle = float(np.median(errors))
+            estimates[f"dE2000 of other surfaces in {name}, {share}"] = Estimate(
+                middle, *_interval(errors, middle), "", sources, f"expected; of {', '.join(OTHERS)}"
+            )
     table = {"wavelengths_nm": NODES.tolist()} | {
         letter: np.round(curve, 5).tolist()
         for letter, curve in zip(fit.letters, fit.values, strict=True)
@@ -100,7 +113,7 @@ def fit_color(
         {"sensor": {"sensitivity": table}},
         _plots(fit, charts, names, differences),
         _describe_misfit(fit, charts, names, differences),
-        _unknown(fit, charts, names, is_guessed),
+        (*_unknown(fit, charts, names, is_guessed), *_describe_expected(expected)),
     )
 
 
@@ -142,28 +155,27 @@ def _fit(charts: list[Patches], lights, surfaces):
 
 def _peaks(fit: Sensitivity, sources):
     found = {}
-    for letter, curve, covariance in zip(fit.letters, fit.values, fit.covariance, strict=True):
+    for k, (letter, curve) in enumerate(zip(fit.letters, fit.values, strict=True)):
         top = int(np.argmax(curve))
-        reach = 1.96 * float(np.sqrt(covariance[top, top]))
         found[f"sensor.sensitivity of {letter} at {NODES[top]:g} nm"] = Estimate(
-            float(curve[top]), float(max(curve[top] - reach, 0)), float(curve[top] + reach), "", sources,
+            float(curve[top]), *_interval(fit.draws[:, k, top], curve[top]), "", sources,
             "its peak; the largest of all channels is 1",
         )  # fmt: skip
     return found
+
+
+def _interval(draws, value):
+    """Return the ends of the interval of 95 %, which holds the value."""
+    low, high = np.quantile(draws, (0.025, 0.975))
+    return float(min(low, value)), float(max(high, value))
 
 
 def _matrix(fit: Sensitivity, name, light):
     """Return {key: (value, low, high)} of the matrix from white-balanced channels to XYZ."""
     if len(fit.letters) < 3:
         return {}
-    random = np.random.default_rng(1)
-    roots = [np.linalg.cholesky(one + 1e-12 * np.eye(len(one))) for one in fit.covariance]
     drawn = []
-    for number in range(DRAWS + 1):
-        values = fit.values
-        if number:
-            steps = np.stack([root @ random.normal(size=len(root)) for root in roots])
-            values = np.maximum(values + steps, 0)
+    for values in (fit.values, *fit.draws[:DRAWS]):
         transform = color_matrix(Spectrum(NODES, values), light, TRAINING)
         drawn.append(transform.xyz * transform.white)
     table = np.array(drawn)
@@ -179,6 +191,28 @@ def _matrix(fit: Sensitivity, name, light):
     }
 
 
+def _expected_errors(fit: Sensitivity, light) -> dict[str, np.ndarray]:
+    """Return CIEDE2000 of other surfaces, their 95 % and the largest, if the camera has each of the drawn curves."""
+    from gpusim.measure.difference import ciede2000
+
+    tables = [np.clip(reflectances(name).at(NODES, outside=None), 0, 1) for name in OTHERS]
+    weights = np.concatenate(tables) * product_weights(NODES, light)
+    transform = color_matrix(fit.spectrum, light, TRAINING)
+    seen = np.stack([weights @ one.T for one in (fit.values, *fit.draws[:DRAWS])])
+    main = seen[0].sum(0).argmax()
+    seen *= (seen[0, :, main].sum() / seen[:, :, main].sum(1))[:, None, None]  # in one exposure
+    white = (product_weights(NODES, light) @ fit.values.T).max()
+    xyz = np.maximum(seen / white @ transform.xyz.T, 0)
+    errors = ciede2000(xyz[1:], np.broadcast_to(xyz[0], xyz[1:].shape), _white())
+    return {"95 %": np.quantile(errors, 0.95, axis=1), "the largest": errors.max(1)}
+
+
+def _white():
+    """Return XYZ of D65, Y = 1."""
+    eye = product_weights(NODES, cmf(), light_of("D65")).sum(1)
+    return eye / eye[1]
+
+
 def _differences(fit: Sensitivity, chart: Patches, light, number):
     """Return CIEDE2000 of the measured patches from the fitted camera's, (24,), and their display RGB (24, 3)."""
     from gpusim.domain.display import DISPLAYS
@@ -187,11 +221,8 @@ def _differences(fit: Sensitivity, chart: Patches, light, number):
     transform = color_matrix(fit.spectrum, light, TRAINING)
     white = (fit.scales[number] * product_weights(NODES, light) @ fit.values.T).max()
     seen, wanted = chart.means / white, fit.predicted[number] / white
-    eye = product_weights(
-        NODES, cmf(), energy_from_photons(photons_from_energy(light_of("D65")))
-    ).sum(1)
     xyz = [np.maximum(one @ transform.xyz.T, 0) for one in (seen, wanted)]
-    found = ciede2000(xyz[0][None], xyz[1][None], eye / eye[1])[0]
+    found = ciede2000(xyz[0][None], xyz[1][None], _white())[0]
     shown = DISPLAYS["srgb"].rgb_from_xyz @ xyz[0].T
     return found, np.clip(shown.T, 0, 1) ** (1 / 2.2)
 
@@ -211,6 +242,19 @@ def _describe_misfit(fit: Sensitivity, charts, names, differences):
             lines.append(
                 f"chart in {name}: the light changes by {200 * np.abs(slope).max():.2g} % over the chart, which was "
                 "divided out"
+            )
+    return tuple(lines)
+
+
+def _describe_expected(expected):
+    """Return lines of lights in which colours may miss by more than is visible."""
+    lines = []
+    for name, sizes in expected.items():
+        most = {share: np.quantile(errors, 0.975) for share, errors in sizes.items()}
+        if most["the largest"] > VISIBLE:
+            lines.append(
+                f"colours in {name}: dE2000 of other surfaces up to {most['95 %']:.2g} for 95 % of them and "
+                f"{most['the largest']:.2g} for the worst are possible; charts in further lights narrow this"
             )
     return tuple(lines)
 
@@ -247,18 +291,11 @@ def _plots(fit: Sensitivity, charts, names, differences):
 
     def draw_curves(figure):
         axes = figure.subplots()
-        for letter, curve, covariance in zip(fit.letters, fit.values, fit.covariance, strict=True):
-            reach = 1.96 * np.sqrt(np.maximum(np.diag(covariance), 0))
+        low, high = np.quantile(fit.draws, (0.025, 0.975), axis=0)
+        for k, (letter, curve) in enumerate(zip(fit.letters, fit.values, strict=True)):
             colour = colours.get(letter, "0.4")
             axes.plot(NODES, curve, color=colour, label=letter)
-            axes.fill_between(
-                NODES,
-                np.maximum(curve - reach, 0),
-                curve + reach,
-                color=colour,
-                alpha=0.2,
-                linewidth=0,
-            )
+            axes.fill_between(NODES, low[k], high[k], color=colour, alpha=0.2, linewidth=0)
         axes.set(xlabel="wavelength [nm]", ylabel="relative sensitivity per photon", ylim=(0, None))
         axes.legend()
 

@@ -2,29 +2,26 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 import scipy
 
-from gpusim.data.curves import curve
 from gpusim.data.weights import product_weights
 from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
+from gpusim.fit.curve_prior import LEAST, NODES, curve_prior
 
-NODES = np.arange(390.0, 721.0, 10.0)  # [nm]
-POPULATION = 400  # curves of a channel that are drawn
-SHIFT, STRETCH, TILT, LEVEL, CROSSTALK = 12.0, 0.12, 0.25, 0.2, 0.06
-CUT_SHIFT = 12.0  # [nm] of the infrared cut
-OWN, LENGTH = (
-    0.04,
-    22.0,
-)  # smooth deviations from all curves: size over the peak, and correlation length [nm]
-LEAST_ERROR = 1e-3  # of a patch's response: reflectances of charts differ from their tables
-MOST_ERROR = 0.05
-SLOPE = 0.05  # expected change of the light over the chart
-ROUNDS = 8
-ALL = "RGB"
+# Relative errors of responses that are tried: reflectances of charts differ from their tables. One is of a patch in
+# all channels, the other of each channel.
+COMMON = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
+SINGLE = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.03)
+SCALE, SLOPE = (
+    0.5,
+    0.05,
+)  # expected: log scale of another light, and change of the light over the chart
+ROUNDS, NOISE_ROUNDS = 16, (4, 7)
+DONE = 1e-4  # largest change of a logarithm that ends the rounds
+DRAWS = 100  # of curves, for intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +31,7 @@ class Sensitivity:
     Args:
         letters: Channels.
         values: Electrons per photon in any unit, largest value 1, at NODES, shape (C, L).
-        covariance: Of the values of each channel, shape (C, L, L).
+        draws: Curves that the responses allow as well, in the same unit, shape (DRAWS, C, L).
         scales: Responses over the model's for each light, shape (lights,).
         slopes: Change of the light over half of the chart along x and y, shape (lights, 2).
         predicted: Responses of the model to the patches, shape (lights, 24, C), in units of the measured ones.
@@ -44,7 +41,7 @@ class Sensitivity:
 
     letters: tuple[str, ...]
     values: np.ndarray
-    covariance: np.ndarray
+    draws: np.ndarray
     scales: np.ndarray
     slopes: np.ndarray
     predicted: np.ndarray
@@ -59,43 +56,14 @@ class Sensitivity:
         return Spectrum(NODES, self.values, "fitted sensitivity")
 
 
-@lru_cache(maxsize=16)
-def curve_prior(letter: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean (L,) and covariance (L, L) of a channel's curve, peak about 1.
+@dataclass(frozen=True)
+class _Chart:
+    """Used patches of a chart in one light: weights (N, L), places (N, 2), responses and their errors (C, N)."""
 
-    The population are the measured curves of the package, shifted, stretched, tilted and mixed with their neighbours,
-    behind infrared cuts of different edges.
-
-    Args:
-        letter: R, G, B, or another one: any of them.
-
-    Returns:
-        Mean and covariance.
-    """
-    random = np.random.default_rng(list(map(ord, "curves" + letter)))
-    sets = [
-        np.array(curve("mt9v024").at(NODES, outside=None))[:3],
-        np.array(curve("iset-rgb").at(NODES, outside=None)),
-    ]
-    cuts = [curve("ir-cut-phone"), curve("ir-cut-schott")]
-    found = []
-    for _ in range(POPULATION):
-        rows = sets[random.integers(len(sets))]
-        rows = rows / rows.max()
-        own = ALL.index(letter) if letter in ALL else random.integers(3)
-        mixed = rows[own] + CROSSTALK * random.exponential(size=3) @ rows
-        if letter in "WYC":
-            mixed = mixed + rows.sum(0) * random.random()
-        centre = NODES[np.argmax(mixed)]
-        at = centre + (NODES - centre - SHIFT * random.normal()) / np.exp(STRETCH * random.normal())
-        one = np.interp(at, NODES, mixed)
-        cut = cuts[random.integers(len(cuts))]
-        edge = cut.at(NODES - CUT_SHIFT * random.normal(), outside=None)
-        one = one * np.clip(edge, 0, 1) * np.exp(TILT * random.normal() * (NODES - 550) / 150)
-        found.append(one * np.exp(LEVEL * random.normal()))
-    table = np.array(found) / np.max(np.mean(found, axis=0))
-    smooth = np.exp(-((NODES[:, None] - NODES) ** 2) / (2 * LENGTH**2))
-    return table.mean(0), np.cov(table.T) + OWN**2 * smooth + 1e-7 * np.eye(len(NODES))
+    weights: np.ndarray
+    places: np.ndarray
+    seen: np.ndarray
+    noise: np.ndarray
 
 
 def fit_sensitivity(
@@ -109,9 +77,9 @@ def fit_sensitivity(
 ) -> Sensitivity:
     """Fit the sensitivities to responses to known surfaces.
 
-    Bayes's rule with a Gaussian prior of the curves, the mean of the posterior, limited to values that are not
-    negative. Exposure, a slope of the light over the chart, and the relative error of the reflectances are fitted
-    along with it.
+    Bayes's rule with a Gaussian prior of the curves' logarithms, see `gpusim.fit.curve_prior`: the likeliest curves, by
+    Gauss and Newton's method, and Laplace's approximation around them. Exposure, a slope of the light over the chart,
+    and the relative errors of the reflectances are fitted along with it.
 
     Args:
         letters: Channels.
@@ -126,114 +94,109 @@ def fit_sensitivity(
         The sensitivities.
 
     Source:
-        Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapter 2.
+        Rasmussen and Williams, Gaussian Processes for Machine Learning (2006), chapters 2, 3.4 and 5.
     """
-    priors = [curve_prior(letter) for letter in letters]
-    models = [surfaces * product_weights(NODES, light) for light in lights]
-    scales, slopes = np.ones(len(lights)), np.zeros((len(lights), 2))
-    main = max(range(len(letters)), key=lambda k: float(responses[0][:, k].sum()))
-    for number, (model, seen, chosen) in enumerate(zip(models, responses, used, strict=True)):
-        expected = (model @ priors[main][0])[chosen]
-        scales[number] = seen[chosen, main].sum() / expected.sum()
-    scales = scales / scales[0]
-    unit = responses[0][used[0], main].sum() / (models[0] @ priors[main][0])[used[0]].sum()
-    relative = 0.01
-    for _ in range(ROUNDS):
-        curves, covariances, predicted, evidence = _posterior(
-            priors, models, responses, errors, scales * unit, slopes, places, used, relative
-        )
-        scales, slopes = _align(
-            predicted, responses, errors, scales, slopes, places, used, relative
-        )
-        relative = _relative_error(predicted, responses, errors, used, len(letters))
-    curves, covariances, predicted, evidence = _posterior(
-        priors, models, responses, errors, scales * unit, slopes, places, used, relative
-    )
-    top = curves.max()
+    mean, covariance = curve_prior(tuple(letters))
+    curves = _curves(mean, len(letters))
+    charts, units = [], []
+    for seen, noise, light, chosen in zip(responses, errors, lights, used, strict=True):
+        weights = surfaces * product_weights(NODES, light)
+        units.append(seen[chosen].sum() / (weights @ curves.T)[chosen].sum())
+        weights = weights[chosen] * units[-1]
+        charts.append(_Chart(weights, places[chosen], seen[chosen].T, noise[chosen].T))
+    # the first exposure is the unit of the curves
+    extra = np.tile([SCALE**2, SLOPE**2, SLOPE**2], len(charts))
+    extra[0] = 1e-9
+    mean = np.append(mean, np.zeros(len(extra)))
+    covariance = scipy.linalg.block_diag(covariance, np.diag(extra))
+    state, spread, error, evidence = _find_likeliest(charts, mean, covariance)
+    random = np.random.default_rng(1)
+    root = np.linalg.cholesky(spread + 1e-9 * np.eye(len(spread)))
+    drawn = state + random.normal(size=(DRAWS, len(state))) @ root.T
+    values = _curves(state, len(letters))
+    top = values.max()
+    lasting = state[len(mean) - len(extra) :].reshape(-1, 3)
+    scales = np.array(units) * np.exp(lasting[:, 0])
+    predicted = np.stack([
+        scale * (1 + places @ slope)[:, None] * (surfaces * product_weights(NODES, light) @ values.T)
+        for scale, slope, light in zip(scales, lasting[:, 1:], lights, strict=True)
+    ])  # fmt: skip
     return Sensitivity(
         tuple(letters),
-        curves / top,
-        covariances / top**2,
-        scales * unit * top,
-        slopes,
+        values / top,
+        np.array([_curves(one, len(letters)) for one in drawn]) / top,
+        scales * top,
+        lasting[:, 1:],
         predicted,
-        relative,
+        error,
         evidence,
     )
 
 
-def _posterior(priors, models, responses, errors, scales, slopes, places, used, relative):
-    """Return curves (C, L), covariances, predicted responses and the logarithm of the evidence."""
-    curves, covariances, evidence = [], [], 0.0
-    fields = [1 + places @ slope for slope in slopes]
-    for k, (mean, covariance) in enumerate(priors):
-        matrix = np.concatenate(
-            [
-                (scale * field[:, None] * model)[chosen]
-                for scale, field, model, chosen in zip(scales, fields, models, used, strict=True)
-            ]
-        )
-        seen = np.concatenate([one[chosen, k] for one, chosen in zip(responses, used, strict=True)])
-        spread = np.concatenate([one[chosen, k] for one, chosen in zip(errors, used, strict=True)])
-        sigma = np.hypot(spread, relative * np.maximum(seen, 0.02 * seen.max()))
-        own = matrix @ covariance
-        whole = own @ matrix.T + np.diag(sigma**2)
-        factor = scipy.linalg.cho_factor(whole)
-        miss = seen - matrix @ mean
-        gain = scipy.linalg.cho_solve(factor, own)
-        covariances.append(covariance - own.T @ gain)
-        evidence -= 0.5 * miss @ scipy.linalg.cho_solve(factor, miss)
-        evidence -= np.log(np.diag(factor[0])).sum()
-        evidence += np.log(
-            np.maximum(seen, 1e-9)
-        ).sum()  # of relative responses, alike in all lights
-        root = np.linalg.inv(np.linalg.cholesky(covariance))
-        system = np.vstack([matrix / sigma[:, None], root])
-        curves.append(scipy.optimize.nnls(system, np.append(seen / sigma, root @ mean))[0])
-    table = np.array(curves)
-    predicted = np.stack(
-        [
-            scale * field[:, None] * (model @ table.T)
-            for scale, field, model in zip(scales, fields, models, strict=True)
-        ]
-    )
-    return table, np.array(covariances), predicted, float(evidence)
+def _curves(state, count):
+    """Return curves (C, L) of a state: logarithms of curves, and then scales and slopes."""
+    logs = state[: count * len(NODES)].reshape(count, -1)
+    return np.maximum(np.exp(logs) - LEAST, 0)
 
 
-def _align(predicted, responses, errors, scales, slopes, places, used, relative):
-    """Return scales and slopes of the lights that the residuals ask for; the first scale stays 1."""
-    scales, slopes = scales.copy(), slopes.copy()
-    for number, (model, seen, spread, chosen) in enumerate(
-        zip(predicted, responses, errors, used, strict=True)
-    ):
-        base = model / (1 + places @ slopes[number])[:, None]
-        channels = seen.shape[1]
-        ratio = (seen / base)[chosen].ravel() - 1
-        sigma = np.hypot(spread / base, relative)[chosen].ravel()
-        x = np.repeat(places[chosen], channels, axis=0)
-        matrix = np.column_stack([np.ones(len(x)), x]) / sigma[:, None]
-        prior = np.diag([0.0, 1 / SLOPE, 1 / SLOPE])
-        found = np.linalg.lstsq(
-            np.vstack([matrix, prior]), np.append(ratio / sigma, np.zeros(3)), rcond=None
-        )[0]
-        slopes[number] = found[1:]
-        if number:
-            scales[number] *= 1 + found[0]
-    return scales, slopes
+def _find_likeliest(charts, mean, covariance):
+    """Return the likeliest state, its covariance, the relative error of responses and the logarithm of the evidence."""
+    seen = np.concatenate([one.seen.ravel() for one in charts])
+    noise = np.concatenate([one.noise.ravel() for one in charts])
+    alike = scipy.linalg.block_diag(
+        *[np.kron(np.ones((len(one.seen),) * 2), np.eye(one.seen.shape[1])) for one in charts]
+    ) * np.outer(seen, seen)
+    prior = scipy.linalg.cho_factor(covariance)
+
+    def errors(common, single):
+        return common**2 * alike + np.diag(noise**2 + (single * seen) ** 2)
+
+    def cost(state):
+        miss, away = seen - _expose(charts, state)[0], state - mean
+        return miss @ np.linalg.solve(error, miss) + away @ scipy.linalg.cho_solve(prior, away)
+
+    def weigh(sizes):
+        factor = scipy.linalg.cho_factor(spread + errors(*sizes))
+        misfit = miss @ scipy.linalg.cho_solve(factor, miss)
+        return -0.5 * misfit - np.log(np.diag(factor[0])).sum()
+
+    state, sizes = mean, (COMMON[2], SINGLE[1])
+    for number in range(ROUNDS):
+        model, slopes = _expose(charts, state)
+        own = covariance @ slopes.T
+        miss, spread = seen - model + slopes @ (state - mean), slopes @ own
+        if number in NOISE_ROUNDS:
+            sizes = max(((common, one) for common in COMMON for one in SINGLE), key=weigh)
+        error = errors(*sizes)
+        gain = np.linalg.solve(spread + error, own.T).T
+        step, before = mean + gain @ miss - state, cost(state)
+        while np.abs(step).max() > DONE and cost(state + step) > before:
+            step = step / 2
+        state = state + step
+        if number > max(NOISE_ROUNDS) and np.abs(step).max() < DONE:
+            break
+    return state, covariance - gain @ own.T, float(np.hypot(*sizes)), float(weigh(sizes))
 
 
-def _relative_error(predicted, responses, errors, used, channels):
-    """Return the relative error of responses whose residuals are as large as the model's are."""
-    squares, freedom = 0.0, 0.0
-    for model, seen, spread, chosen in zip(predicted, responses, errors, used, strict=True):
-        miss = ((seen - model) / np.maximum(model, 1e-9))[chosen]
-        noise = (spread / np.maximum(model, 1e-9))[chosen]
-        squares += np.maximum(miss**2 - noise**2, 0).sum()
-        freedom += miss.size
-    freedom = max(
-        freedom - 8 * channels, freedom / 3
-    )  # a chart tells some eight numbers of a curve
-    return float(np.clip(np.sqrt(squares / freedom), LEAST_ERROR, MOST_ERROR))
+def _expose(charts, state):
+    """Return the responses of all charts (M,), and their derivatives by the state (M, S)."""
+    count = len(charts[0].seen)
+    size = len(NODES)
+    growth = np.exp(state[: count * size].reshape(count, size))
+    models, slopes = [], []
+    for number, chart in enumerate(charts):
+        at = count * size + 3 * number
+        light = 1 + chart.places @ state[at + 1 : at + 3]
+        weights = np.exp(state[at]) * light[:, None] * chart.weights
+        model = (growth - LEAST) @ weights.T
+        own = np.zeros((*model.shape, len(state)))
+        for k in range(count):
+            own[k, :, k * size : (k + 1) * size] = weights * growth[k]
+        own[:, :, at] = model
+        own[:, :, at + 1 : at + 3] = model[:, :, None] * (chart.places / light[:, None])
+        models.append(model.ravel())
+        slopes.append(own.reshape(-1, len(state)))
+    return np.concatenate(models), np.concatenate(slopes)
 
 
 def guess_light(candidates: Mapping[str, Spectrum], fit) -> tuple[str, Sensitivity]:
