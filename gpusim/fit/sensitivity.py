@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 import scipy
@@ -21,7 +22,7 @@ SCALE, SLOPE = (
 )  # expected: log scale of another light, and change of the light over the chart
 ROUNDS, NOISE_ROUNDS = 16, (4, 7)
 DONE = 1e-4  # largest change of a logarithm that ends the rounds
-DRAWS = 100  # of curves, for intervals
+DRAWS, DRAW_ROUNDS = 40, 4  # of curves, for intervals
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,10 +110,9 @@ def fit_sensitivity(
     extra[0] = 1e-9
     mean = np.append(mean, np.zeros(len(extra)))
     covariance = scipy.linalg.block_diag(covariance, np.diag(extra))
-    state, spread, error, evidence = _find_likeliest(charts, mean, covariance)
-    random = np.random.default_rng(1)
-    root = np.linalg.cholesky(spread + 1e-9 * np.eye(len(spread)))
-    drawn = state + random.normal(size=(DRAWS, len(state))) @ root.T
+    posterior = _Posterior(charts, mean, covariance)
+    state = posterior.find()
+    drawn = posterior.draw(state, DRAWS)
     values = _curves(state, len(letters))
     top = values.max()
     lasting = state[len(mean) - len(extra) :].reshape(-1, 3)
@@ -128,8 +128,8 @@ def fit_sensitivity(
         scales * top,
         lasting[:, 1:],
         predicted,
-        error,
-        evidence,
+        float(np.hypot(*posterior.sizes)),
+        posterior.evidence(state),
     )
 
 
@@ -139,43 +139,81 @@ def _curves(state, count):
     return np.maximum(np.exp(logs) - LEAST, 0)
 
 
-def _find_likeliest(charts, mean, covariance):
-    """Return the likeliest state, its covariance, the relative error of responses and the logarithm of the evidence."""
-    seen = np.concatenate([one.seen.ravel() for one in charts])
-    noise = np.concatenate([one.noise.ravel() for one in charts])
-    alike = scipy.linalg.block_diag(
-        *[np.kron(np.ones((len(one.seen),) * 2), np.eye(one.seen.shape[1])) for one in charts]
-    ) * np.outer(seen, seen)
-    prior = scipy.linalg.cho_factor(covariance)
+class _Posterior:
+    """Search of the likeliest states of charts, with a Gaussian prior (S,), (S, S)."""
 
-    def errors(common, single):
-        return common**2 * alike + np.diag(noise**2 + (single * seen) ** 2)
+    def __init__(self, charts, mean, covariance):
+        self.charts, self.mean, self.covariance = charts, mean, covariance
+        self.prior = scipy.linalg.cho_factor(covariance)
+        self.seen = np.concatenate([one.seen.ravel() for one in charts])
+        self.noise = np.concatenate([one.noise.ravel() for one in charts])
+        blocks = [np.kron(np.ones((len(one.seen),) * 2), np.eye(one.seen.shape[1])) for one in charts]
+        self.alike = scipy.linalg.block_diag(*blocks) * np.outer(self.seen, self.seen)
+        self.sizes = COMMON[2], SINGLE[1]
 
-    def cost(state):
-        miss, away = seen - _expose(charts, state)[0], state - mean
-        return miss @ np.linalg.solve(error, miss) + away @ scipy.linalg.cho_solve(prior, away)
+    def errors(self, common, single):
+        """Return the covariance of the responses' errors, (M, M)."""
+        return common**2 * self.alike + np.diag(self.noise**2 + (single * self.seen) ** 2)
 
-    def weigh(sizes):
-        factor = scipy.linalg.cho_factor(spread + errors(*sizes))
-        misfit = miss @ scipy.linalg.cho_solve(factor, miss)
-        return -0.5 * misfit - np.log(np.diag(factor[0])).sum()
+    def find(self):
+        """Return the likeliest state, and set the sizes of errors that are likeliest."""
+        state = self.mean
+        for number in range(ROUNDS):
+            if number in NOISE_ROUNDS:
+                miss, slopes = self._straighten(state, self.seen, self.mean)
+                spread = slopes @ self.covariance @ slopes.T
+                self.sizes = max(
+                    product(COMMON, SINGLE), key=lambda sizes: self._weigh(miss, spread, sizes)
+                )
+            state, size = self._step(state, self.seen, self.mean)
+            if number > max(NOISE_ROUNDS) and size < DONE:
+                break
+        return state
 
-    state, sizes = mean, (COMMON[2], SINGLE[1])
-    for number in range(ROUNDS):
-        model, slopes = _expose(charts, state)
-        own = covariance @ slopes.T
-        miss, spread = seen - model + slopes @ (state - mean), slopes @ own
-        if number in NOISE_ROUNDS:
-            sizes = max(((common, one) for common in COMMON for one in SINGLE), key=weigh)
-        error = errors(*sizes)
-        gain = np.linalg.solve(spread + error, own.T).T
-        step, before = mean + gain @ miss - state, cost(state)
+    def evidence(self, state):
+        """Return the logarithm of the likelihood of all curves together, around a state."""
+        miss, slopes = self._straighten(state, self.seen, self.mean)
+        return float(self._weigh(miss, slopes @ self.covariance @ slopes.T, self.sizes))
+
+    def draw(self, state, count):
+        """Return states that are as likely, (count, S): the likeliest ones of responses and priors with random errors."""
+        random = np.random.default_rng(1)
+        roots = [np.linalg.cholesky(one) for one in (self.errors(*self.sizes), self.covariance)]
+        found = []
+        for _ in range(count):
+            seen = self.seen + roots[0] @ random.normal(size=len(self.seen))
+            mean = self.mean + roots[1] @ random.normal(size=len(self.mean))
+            one = state
+            for _ in range(DRAW_ROUNDS):
+                one, _ = self._step(one, seen, mean)
+            found.append(one)
+        return np.array(found)
+
+    def _straighten(self, state, seen, mean):
+        """Return the misses of the prior's mean, (M,), and the derivatives, (M, S), of a model that is linear in the state."""
+        model, slopes = _expose(self.charts, state)
+        return seen - model + slopes @ (state - mean), slopes
+
+    def _weigh(self, miss, spread, sizes):
+        factor = scipy.linalg.cho_factor(spread + self.errors(*sizes))
+        return -0.5 * miss @ scipy.linalg.cho_solve(factor, miss) - np.log(np.diag(factor[0])).sum()
+
+    def _step(self, state, seen, mean):
+        """Return the state after a step of Gauss and Newton's, shortened until it pays, and its largest change."""
+        error = self.errors(*self.sizes)
+        factor = scipy.linalg.cho_factor(error)
+
+        def cost(one):
+            miss, away = seen - _expose(self.charts, one)[0], one - mean
+            return miss @ scipy.linalg.cho_solve(factor, miss) + away @ scipy.linalg.cho_solve(self.prior, away)
+
+        miss, slopes = self._straighten(state, seen, mean)
+        own = self.covariance @ slopes.T
+        step = mean + own @ np.linalg.solve(slopes @ own + error, miss) - state
+        before = cost(state)
         while np.abs(step).max() > DONE and cost(state + step) > before:
             step = step / 2
-        state = state + step
-        if number > max(NOISE_ROUNDS) and np.abs(step).max() < DONE:
-            break
-    return state, covariance - gain @ own.T, float(np.hypot(*sizes)), float(weigh(sizes))
+        return state + step, np.abs(step).max()
 
 
 def _expose(charts, state):
