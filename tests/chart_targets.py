@@ -38,6 +38,31 @@ def random_camera(rng, letters="RGB"):
     return np.array([seen[letter] for letter in letters])
 
 
+def dichroic_camera(rng, letters="RGB"):
+    """Quantum efficiencies as `random_camera`'s, of another kind: silicon behind stacks with steep edges and leaks."""
+    places = [390, 430, 480, 540, 600, 660, 720]  # [nm]
+    silicon = np.array([0.35, 0.55, 0.68, 0.72, 0.68, 0.6, 0.5]) * rng.uniform(0.95, 1.05, 7)
+    silicon = np.interp(WAVES, places, silicon)
+    silicon *= step(rng.uniform(395, 420), rng.uniform(3, 9))
+    silicon *= 1 - step(rng.uniform(640, 690), rng.uniform(4, 25))
+    red = step(rng.normal(590, 7), rng.uniform(8, 16))
+    blue = 1 - step(rng.normal(500, 8), rng.uniform(12, 28))
+    green = step(rng.normal(492, 8), rng.uniform(12, 25)) * (
+        1 - step(rng.normal(583, 8), rng.uniform(14, 28))
+    )
+    yellow = step(rng.normal(500, 8), rng.uniform(12, 25))
+    cyan = 1 - step(rng.normal(588, 8), rng.uniform(12, 25))
+    bands = dict(zip("RGBYCM", (red, green, blue, yellow, cyan, 1 - 0.95 * green), strict=True))
+    bands |= {"W": np.ones(len(WAVES))} | ({"Y": 1.0} if letters == "Y" else {})
+    leaks = {letter: rng.uniform(0.01, 0.07) for letter in bands}
+    return np.array([silicon * (leaks[one] + 0.9 * bands[one]) for one in letters])
+
+
+def step(middle, width):
+    """Transmission at WAVES that rises from 0 to 1 at a wavelength [nm]."""
+    return 0.5 * (1 + erf((WAVES - middle) / width / 1.4))
+
+
 def dye(rng, letter):
     """Transmission of a yellow, cyan or magenta filter at WAVES."""
     middle = {"Y": 505, "C": 585, "M": 540}[letter] + rng.normal(0, 7)

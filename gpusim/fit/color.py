@@ -29,7 +29,6 @@ GUESSES = (
     "daylight-7500K",
 )
 LEAST_PATCHES = 18
-DRAWS = 40  # of curves, for the intervals of matrices and of colour errors
 STEEP = 0.02  # slope of the light over half of the chart that is worth a line
 VISIBLE = 1.0  # CIEDE2000 of a patch that is worth a line
 TRAINING = "objects"
@@ -125,7 +124,7 @@ def _fit(charts: list[Patches], lights, surfaces):
     column, row = np.meshgrid(np.linspace(-1, 1, COLUMNS), np.linspace(-1, 1, ROWS))
     places = np.stack([column.ravel(), row.ravel()], axis=1)
 
-    def fit(chosen, known):
+    def fit(chosen, known, **options):
         used = [~np.isin(np.arange(24), chart.clipped) for chart in chosen]
         return fit_sensitivity(
             letters,
@@ -135,6 +134,7 @@ def _fit(charts: list[Patches], lights, surfaces):
             surfaces,
             places,
             used,
+            **options,
         )
 
     if lights is not None:
@@ -147,7 +147,8 @@ def _fit(charts: list[Patches], lights, surfaces):
         return names, photons, fit(charts, photons), False
     candidates = {name: photons_from_energy(light_of(name)) for name in GUESSES}
     names = [
-        guess_light(candidates, lambda light, one=chart: fit([one], [light]))[0] for chart in charts
+        guess_light(candidates, lambda light, one=chart: fit([one], [light], draws=0))[0]
+        for chart in charts
     ]
     photons = [candidates[name] for name in names]
     return names, photons, fit(charts, photons), True
@@ -175,7 +176,7 @@ def _matrix(fit: Sensitivity, name, light):
     if len(fit.letters) < 3:
         return {}
     drawn = []
-    for values in (fit.values, *fit.draws[:DRAWS]):
+    for values in (fit.values, *fit.draws):
         transform = color_matrix(Spectrum(NODES, values), light, TRAINING)
         drawn.append(transform.xyz * transform.white)
     table = np.array(drawn)
@@ -192,13 +193,16 @@ def _matrix(fit: Sensitivity, name, light):
 
 
 def _expected_errors(fit: Sensitivity, light) -> dict[str, np.ndarray]:
-    """Return CIEDE2000 of other surfaces, their 95 % and the largest, if the camera has each of the drawn curves."""
+    """Return CIEDE2000 of other surfaces, their 95 % and the largest, if the camera has each of the drawn curves.
+
+    Through a matrix of least squares, which amplifies errors more than the camera file's if there are four channels.
+    """
     from gpusim.measure.difference import ciede2000
 
     tables = [np.clip(reflectances(name).at(NODES, outside=None), 0, 1) for name in OTHERS]
     weights = np.concatenate(tables) * product_weights(NODES, light)
-    transform = color_matrix(fit.spectrum, light, TRAINING)
-    seen = np.stack([weights @ one.T for one in (fit.values, *fit.draws[:DRAWS])])
+    transform = color_matrix(fit.spectrum, light, TRAINING, method="pseudo-inverse")
+    seen = np.stack([weights @ one.T for one in (fit.values, *fit.draws)])
     main = seen[0].sum(0).argmax()
     seen *= (seen[0, :, main].sum() / seen[:, :, main].sum(1))[:, None, None]  # in one exposure
     white = (product_weights(NODES, light) @ fit.values.T).max()

@@ -37,7 +37,7 @@ def curve_prior(letters: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
         Mean, shape (C L,), and covariance, shape (C L, C L).
 
     Source:
-        Rasmussen and Williams, Gaussian Processes for Machine Learning (2006); Beer and Lambert's law for the thickness.
+        Rasmussen and Williams, Gaussian Processes for Machine Learning (2006); Beer and Lambert's law of thickness.
     """
     random = np.random.default_rng(list(map(ord, "curves" + "".join(letters))))
     table = np.array([_draw_camera(random, letters) for _ in range(CAMERAS)])
@@ -89,7 +89,7 @@ def _draw_camera(random, letters):
 
 
 def _vary_cut(random, cut):
-    """Return a cut whose ultraviolet and infrared edges are shifted, of another thickness; some have no infrared cut."""
+    """Return a cut with shifted edges and of another thickness; some have no infrared edge."""
     blue, red = (np.interp(NODES - EDGE * random.normal(), NODES, cut) for _ in range(2))
     red = np.ones(len(NODES)) if random.random() < BARE else red
     return np.where(NODES < 520, blue, red) ** np.exp(THICKNESS * random.normal())

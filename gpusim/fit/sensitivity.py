@@ -12,14 +12,13 @@ from gpusim.domain.short_repr import short_repr
 from gpusim.domain.spectrum import Spectrum
 from gpusim.fit.curve_prior import LEAST, NODES, curve_prior
 
-# Relative errors of responses that are tried: reflectances of charts differ from their tables. One is of a patch in
-# all channels, the other of each channel.
+# Sizes that are tried. Of the prior's covariance: some cameras are far from usual. Relative errors of responses, as
+# reflectances of charts differ from their tables: of a patch in all channels, and of each channel.
+BREADTH = (1.0, 2.0, 4.0, 8.0)
 COMMON = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05)
 SINGLE = (0.0005, 0.001, 0.002, 0.005, 0.01, 0.03)
-SCALE, SLOPE = (
-    0.5,
-    0.05,
-)  # expected: log scale of another light, and change of the light over the chart
+SCALE = 0.5  # expected logarithm of another light's scale
+SLOPE = 0.05  # expected change of the light over the chart
 ROUNDS, NOISE_ROUNDS = 16, (4, 7)
 DONE = 1e-4  # largest change of a logarithm that ends the rounds
 DRAWS, DRAW_ROUNDS = 40, 4  # of curves, for intervals
@@ -32,7 +31,7 @@ class Sensitivity:
     Args:
         letters: Channels.
         values: Electrons per photon in any unit, largest value 1, at NODES, shape (C, L).
-        draws: Curves that the responses allow as well, in the same unit, shape (DRAWS, C, L).
+        draws: Curves that the responses allow as well, in the same unit, shape (D, C, L).
         scales: Responses over the model's for each light, shape (lights,).
         slopes: Change of the light over half of the chart along x and y, shape (lights, 2).
         predicted: Responses of the model to the patches, shape (lights, 24, C), in units of the measured ones.
@@ -75,11 +74,12 @@ def fit_sensitivity(
     surfaces: np.ndarray,
     places: np.ndarray,
     used: Sequence[np.ndarray],
+    draws: int = DRAWS,
 ) -> Sensitivity:
     """Fit the sensitivities to responses to known surfaces.
 
     Bayes's rule with a Gaussian prior of the curves' logarithms, see `gpusim.fit.curve_prior`: the likeliest curves, by
-    Gauss and Newton's method, and Laplace's approximation around them. Exposure, a slope of the light over the chart,
+    Gauss and Newton's method. Exposure, a slope of the light over the chart,
     and the relative errors of the reflectances are fitted along with it.
 
     Args:
@@ -90,6 +90,7 @@ def fit_sensitivity(
         surfaces: Reflectances at NODES, shape (24, L).
         places: x and y of the patches on the chart, -1 to 1, shape (24, 2).
         used: Patches that are used, for each light, shape (24,).
+        draws: Number of curves that the responses allow as well.
 
     Returns:
         The sensitivities.
@@ -112,7 +113,7 @@ def fit_sensitivity(
     covariance = scipy.linalg.block_diag(covariance, np.diag(extra))
     posterior = _Posterior(charts, mean, covariance)
     state = posterior.find()
-    drawn = posterior.draw(state, DRAWS)
+    drawn = posterior.draw(state, draws)
     values = _curves(state, len(letters))
     top = values.max()
     lasting = state[len(mean) - len(extra) :].reshape(-1, 3)
@@ -124,11 +125,11 @@ def fit_sensitivity(
     return Sensitivity(
         tuple(letters),
         values / top,
-        np.array([_curves(one, len(letters)) for one in drawn]) / top,
+        np.array([_curves(one, len(letters)) / top for one in drawn]),
         scales * top,
         lasting[:, 1:],
         predicted,
-        float(np.hypot(*posterior.sizes)),
+        float(np.hypot(*posterior.sizes[1:])),
         posterior.evidence(state),
     )
 
@@ -147,9 +148,11 @@ class _Posterior:
         self.prior = scipy.linalg.cho_factor(covariance)
         self.seen = np.concatenate([one.seen.ravel() for one in charts])
         self.noise = np.concatenate([one.noise.ravel() for one in charts])
-        blocks = [np.kron(np.ones((len(one.seen),) * 2), np.eye(one.seen.shape[1])) for one in charts]
+        blocks = [
+            np.kron(np.ones((len(one.seen),) * 2), np.eye(one.seen.shape[1])) for one in charts
+        ]
         self.alike = scipy.linalg.block_diag(*blocks) * np.outer(self.seen, self.seen)
-        self.sizes = COMMON[2], SINGLE[1]
+        self.sizes = BREADTH[0], COMMON[2], SINGLE[1]
 
     def errors(self, common, single):
         """Return the covariance of the responses' errors, (M, M)."""
@@ -163,7 +166,8 @@ class _Posterior:
                 miss, slopes = self._straighten(state, self.seen, self.mean)
                 spread = slopes @ self.covariance @ slopes.T
                 self.sizes = max(
-                    product(COMMON, SINGLE), key=lambda sizes: self._weigh(miss, spread, sizes)
+                    product(BREADTH, COMMON, SINGLE),
+                    key=lambda sizes: self._weigh(miss, spread, sizes),
                 )
             state, size = self._step(state, self.seen, self.mean)
             if number > max(NOISE_ROUNDS) and size < DONE:
@@ -176,9 +180,15 @@ class _Posterior:
         return float(self._weigh(miss, slopes @ self.covariance @ slopes.T, self.sizes))
 
     def draw(self, state, count):
-        """Return states that are as likely, (count, S): the likeliest ones of responses and priors with random errors."""
+        """Return random states, (count, S): the likeliest ones of responses and priors with random errors.
+
+        Source: Bardsley et al., Randomize-then-optimize, SIAM J. Sci. Comput. 36 (2014), A1895.
+        """
         random = np.random.default_rng(1)
-        roots = [np.linalg.cholesky(one) for one in (self.errors(*self.sizes), self.covariance)]
+        roots = [
+            np.linalg.cholesky(one)
+            for one in (self.errors(*self.sizes[1:]), self.sizes[0] * self.covariance)
+        ]
         found = []
         for _ in range(count):
             seen = self.seen + roots[0] @ random.normal(size=len(self.seen))
@@ -190,25 +200,28 @@ class _Posterior:
         return np.array(found)
 
     def _straighten(self, state, seen, mean):
-        """Return the misses of the prior's mean, (M,), and the derivatives, (M, S), of a model that is linear in the state."""
+        """Return misses of the prior's mean, (M,), and derivatives, (M, S), of the model made linear around a state."""
         model, slopes = _expose(self.charts, state)
         return seen - model + slopes @ (state - mean), slopes
 
     def _weigh(self, miss, spread, sizes):
-        factor = scipy.linalg.cho_factor(spread + self.errors(*sizes))
+        factor = scipy.linalg.cho_factor(sizes[0] * spread + self.errors(*sizes[1:]))
         return -0.5 * miss @ scipy.linalg.cho_solve(factor, miss) - np.log(np.diag(factor[0])).sum()
 
     def _step(self, state, seen, mean):
         """Return the state after a step of Gauss and Newton's, shortened until it pays, and its largest change."""
-        error = self.errors(*self.sizes)
+        error = self.errors(*self.sizes[1:])
         factor = scipy.linalg.cho_factor(error)
 
         def cost(one):
             miss, away = seen - _expose(self.charts, one)[0], one - mean
-            return miss @ scipy.linalg.cho_solve(factor, miss) + away @ scipy.linalg.cho_solve(self.prior, away)
+            return (
+                miss @ scipy.linalg.cho_solve(factor, miss)
+                + away @ scipy.linalg.cho_solve(self.prior, away) / self.sizes[0]
+            )
 
         miss, slopes = self._straighten(state, seen, mean)
-        own = self.covariance @ slopes.T
+        own = self.sizes[0] * self.covariance @ slopes.T
         step = mean + own @ np.linalg.solve(slopes @ own + error, miss) - state
         before = cost(state)
         while np.abs(step).max() > DONE and cost(state + step) > before:
