@@ -79,8 +79,8 @@ def fit_sensitivity(
     """Fit the sensitivities to responses to known surfaces.
 
     Bayes's rule with a Gaussian prior of the curves' logarithms, see `gpusim.fit.curve_prior`: the likeliest curves, by
-    Gauss and Newton's method. Exposure, a slope of the light over the chart,
-    and the relative errors of the reflectances are fitted along with it.
+    Gauss and Newton's method. Exposure, a slope of the light over the chart, and the relative errors of the
+    reflectances are fitted along with it.
 
     Args:
         letters: Channels.
@@ -116,18 +116,18 @@ def fit_sensitivity(
     drawn = posterior.draw(state, draws)
     values = _curves(state, len(letters))
     top = values.max()
-    lasting = state[len(mean) - len(extra) :].reshape(-1, 3)
-    scales = np.array(units) * np.exp(lasting[:, 0])
+    exposures = state[len(mean) - len(extra) :].reshape(-1, 3)
+    scales = np.array(units) * np.exp(exposures[:, 0])
     predicted = np.stack([
         scale * (1 + places @ slope)[:, None] * (surfaces * product_weights(NODES, light) @ values.T)
-        for scale, slope, light in zip(scales, lasting[:, 1:], lights, strict=True)
+        for scale, slope, light in zip(scales, exposures[:, 1:], lights, strict=True)
     ])  # fmt: skip
     return Sensitivity(
         tuple(letters),
         values / top,
         np.array([_curves(one, len(letters)) / top for one in drawn]),
         scales * top,
-        lasting[:, 1:],
+        exposures[:, 1:],
         predicted,
         float(np.hypot(*posterior.sizes[1:])),
         posterior.evidence(state),
@@ -224,7 +224,7 @@ class _Posterior:
         own = self.sizes[0] * self.covariance @ slopes.T
         step = mean + own @ np.linalg.solve(slopes @ own + error, miss) - state
         before = cost(state)
-        while np.abs(step).max() > DONE and cost(state + step) > before:
+        while np.abs(step).max() > DONE and not cost(state + step) <= before:
             step = step / 2
         return state + step, np.abs(step).max()
 

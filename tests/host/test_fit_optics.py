@@ -3,15 +3,21 @@
 from dataclasses import replace
 
 import board_targets as boards
+import chart_targets as charts
 import edge_targets as edges
 import flat_targets as flats
 import numpy as np
 import pytest
 
+from gpusim.data.lights import light_of
+from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadData, OutOfRange
+from gpusim.domain.spectrum import photons_from_energy
 from gpusim.fit.board import find_board
 from gpusim.fit.color import fit_color
+from gpusim.fit.curve_prior import NODES, curve_prior
 from gpusim.fit.distortion import fit_distortion
+from gpusim.fit.sensitivity import fit_sensitivity
 from gpusim.fit.shading import fit_shading
 from gpusim.fit.sharpness import fit_sharpness
 from gpusim.fit.tone import fit_tone, ramp_light
@@ -141,3 +147,28 @@ def test_ramps_that_are_none():
         fit_tone(255 * np.sin(4 * light) ** 2, light)
     with pytest.raises(BadData, match="one shape"):
         fit_tone(np.zeros(3), light)
+
+
+def test_curves_of_a_chart():
+    """Curves of a camera of red, yellow and blue, near the truth; the drawn ones spread around them."""
+    rng = np.random.default_rng(7)
+    truth = charts.random_camera(rng, "RYB")
+    seen = 2000 * charts.responses(truth, "D65", charts.checker())
+    surfaces = np.clip(reflectances("colorchecker").at(NODES, outside=None), 0, 1)
+    used = np.arange(24) != 18
+    light = photons_from_energy(light_of("D65"))
+    fit = fit_sensitivity(
+        "RYB", [seen], [0 * seen + 1], [light], surfaces, np.zeros((24, 2)), [used], draws=4
+    )
+    wanted = np.array([np.interp(NODES, charts.WAVES, one) for one in truth / truth.max()])
+    assert fit.values == pytest.approx(wanted, abs=0.15)
+    assert (fit.values >= 0).all() and (fit.draws >= 0).all()
+    assert fit.predicted[0] == pytest.approx(seen, rel=0.01)
+    assert 0.005 < (fit.draws - fit.values).std() < 0.1
+    assert fit.error < 0.004
+
+
+def test_priors_of_any_letters():
+    mean, covariance = curve_prior(("W", "E"))
+    assert mean.shape == (2 * len(NODES),)
+    assert np.linalg.eigvalsh(covariance).min() > 0
