@@ -99,8 +99,9 @@ def fit_color(
     for name, sizes in expected.items():
         for share, errors in sizes.items():
             middle = float(np.median(errors))
+            low, high = _interval(errors, middle)
             estimates[f"dE2000 of other surfaces in {name}, {share}"] = Estimate(
-                middle, *_interval(errors, middle), "", sources, f"expected; of {', '.join(OTHERS)}"
+                middle, low, high, "", sources, f"expected; of {', '.join(OTHERS)}"
             )
     table = {"wavelengths_nm": NODES.tolist()} | {
         letter: np.round(curve, 5).tolist()
@@ -158,8 +159,9 @@ def _peaks(fit: Sensitivity, sources):
     found = {}
     for k, (letter, curve) in enumerate(zip(fit.letters, fit.values, strict=True)):
         top = int(np.argmax(curve))
+        low, high = _interval(fit.draws[:, k, top], curve[top])
         found[f"sensor.sensitivity of {letter} at {NODES[top]:g} nm"] = Estimate(
-            float(curve[top]), *_interval(fit.draws[:, k, top], curve[top]), "", sources,
+            float(curve[top]), low, high, "", sources,
             "its peak; the largest of all channels is 1",
         )  # fmt: skip
     return found
