@@ -96,8 +96,8 @@ def compare(
     the distribution of residuals (KL divergence), noise of rows and columns, spectra along both,
     correlation of neighbours and the fixed pattern; of darks also the level. Chips differ, so
     patterns are compared as statistics. Intervals come from a bootstrap over blocks of pixels and over pairs of frames;
-    all together hold with 95 %. Large frames are compared in their middle, 1024 x 1024 pixels of
-    at most 16 frames.
+    all together hold with 95 %, and a verdict of agreement is a test of 5 %. Large frames are compared in their
+    middle, 1024 x 1024 pixels of at most 16 frames.
 
     Args:
         camera: The camera, its name or its file.

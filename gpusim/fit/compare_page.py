@@ -23,10 +23,10 @@ def compare_page(found: Comparison) -> str:
     count = sum(one.state == found.state for one in found.findings)
     body = [
         f"<h1>{title}</h1>",
-        f"<p><strong>{escape(found.state)}</strong>: {count} of {len(found.findings)} statistics. All intervals "
-        "together hold with 95 %.</p>",
-        '<p class="soft">A statistic agrees if its interval lies within the agreed difference. It differs if the '
-        "interval excludes 0 and the difference is larger than agreed. Otherwise there are too few frames.</p>",
+        f"<p><strong>{escape(found.state)}</strong>: {count} of {len(found.findings)} statistics.</p>",
+        '<p class="soft">A statistic agrees if the difference is as small as agreed with a confidence of 95 %. It '
+        "differs if its interval excludes 0 and the difference is larger than agreed; all intervals together hold "
+        "with 95 %. Otherwise there are too few frames.</p>",
         list_lines("Not compared", found.unknown, "Nothing is left out."),
         "<h2>Statistics</h2>",
         _table(found.findings),

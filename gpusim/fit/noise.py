@@ -3,22 +3,33 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from gpusim.domain.errors import BadData
+from gpusim.fit.clipped import (
+    Unclipped,
+    is_clipped,
+    level_before_clipping,
+    pattern_before_clipping,
+    temporal_lines,
+    unclip,
+    unclipped_level,
+)
 from gpusim.fit.darks import DarkLine, Drift, Hot, find_drift, find_hot, fit_dark_line
 from gpusim.fit.findings import Tails, find_tails
 from gpusim.fit.intervals import (
     Range,
+    Z,
     chance_of_normal,
-    difference_of,
     normal_range,
     root_of,
     widened,
 )
 from gpusim.fit.levels import Level, level_of, stack_group
-from gpusim.fit.patterns import DEGREE, Pattern, outliers, share_range, split_pattern
+from gpusim.fit.patterns import Pattern, outliers, share_range, split_pattern
+from gpusim.fit.response import Response
 from gpusim.fit.rounding import rounding_bias
 from gpusim.fit.scene_stack import SHOOT_PAIRS
 from gpusim.fit.scenes import read_scenes
@@ -27,17 +38,16 @@ from gpusim.fit.transfer import (
     SHOOT_FLATS,
     Linearity,
     Transfer,
+    bounds_of,
     find_clipping,
     fit_linearity,
     fit_transfer,
 )
 
-DEAD = 0.3  # response of a dead pixel, relative to the mean
 RESTLESS = 1e-7  # chance of a pixel's temporal variance, for telegraph noise
 JUMP = (
     0.25  # least variance of a telegraph pixel, of its squared offset: four fifths of the time up
 )
-STEPS = 4.5  # standard deviations of dark values that must lie above 0
 MOVED = 5.0, 0.03  # standard errors and pixels of a displacement that is one
 SAFE = 0.85  # part of the brightest level that no channel of a darker one may reach
 SHOOT_DARKS = "shoot 8 or more frames with the lens capped at the exposure times of use"
@@ -65,7 +75,8 @@ class IsoFit:
         is_whole: Whether values are whole numbers.
         dark_deviation: Standard deviation of a dark pixel's values, temporal and fixed [DN].
         bounded_read: Bounds of the read noise [e-], if the black level is not known.
-        black_source: "darks", "stated" by the files, or "bounds".
+        black_source: "darks", "clipped" ones, "hidden" as nearly all of their values are 0, "stated" by
+            the files, or "bounds".
     """
 
     iso: float | None
@@ -144,7 +155,9 @@ def fit_iso(
     stack = stack_group(main, done, total, is_dark=True)
     good = np.ones(stack.shape, bool)
     good &= ~outliers(stack.mean, good, period)
-    restless, jump = _restless(stack)
+    is_cut = is_whole and is_clipped(stack, good)
+    # clipped pixels differ in their variance by their offsets
+    restless, jump = (~good & good, 0.0) if is_cut else _restless(stack)
     good &= ~restless
     longest, hot = _longest(groups, main), None
     levels = []
@@ -156,27 +169,28 @@ def fit_iso(
         seconds = longest[0].frame.exposure_time - main[0].frame.exposure_time
         hot = find_hot(excess, bad, seconds)
         good &= ~bad
-        levels.append(level_of(longest, other, good))
+        levels.append(_dark_level(longest, other, good, is_whole))
         del other, excess
-    levels.insert(0, level_of(main, stack, good))
+    levels.insert(0, _dark_level(main, stack, good, is_whole))
     for group in groups:
         if group is not main and group is not longest and len(group) > 1:
             other = stack_group(group, done, total, is_dark=True)
-            levels.append(level_of(group, other, good))
+            levels.append(_dark_level(group, other, good, is_whole))
             del other
-    row, column, pixel = _lines(stack, good)
+    noise = _dark_noise(stack, good, is_cut)
+    row, column, offsets = noise.row, noise.column, noise.offsets
     line_error = max(row.value, 0.0) / stack.shape[0] + max(column.value, 0.0) / stack.shape[1]
     dark_line = fit_dark_line(levels, line_error)
-    first, second = (half.copy() for half in stack.halves)
-    offsets = split_pattern(first, second, good, period)
     fixed = sum(max(part.value, 0.0) for part in (offsets.pixel, offsets.row, offsets.column))
-    temporal = pixel.value + max(row.value, 0.0) + max(column.value, 0.0)
-    deviation = math.sqrt(temporal + fixed)
-    black = _black_range(dark_line, offsets, good.shape, deviation, is_whole)
+    deviation = math.sqrt(noise.pixel + max(row.value, 0.0) + max(column.value, 0.0) + fixed)
+    error = 0.0
+    if noise.unclipped is not None:
+        error = (noise.unclipped.level.high - noise.unclipped.level.low) / (2 * Z)
+    black = _black_range(dark_line, offsets, good.shape, deviation, is_whole, error)
     tails = None
-    if stack.count >= 4 and pixel.value > 1.0:  # rounding hides the shape of finer noise
-        tails = find_tails(stack.residual[good], math.sqrt(pixel.value), float(is_whole))
-    halves, stack_lowest = stack.halves, stack.lowest
+    if stack.count >= 4 and noise.pixel > 1.0 and not is_cut:  # rounding hides finer noise
+        tails = find_tails(stack.residual[good], math.sqrt(noise.pixel), float(is_whole))
+    halves = stack.halves
     drift = find_drift(levels[0], line_error)
     restless_share = share_range(int(np.count_nonzero(restless)), good.size)
     del stack
@@ -187,11 +201,9 @@ def fit_iso(
     else:
         flat_levels, _, _ = read_scenes(scenes, done, total)
         response, dead = None, share_range(0, good.size)
-    # values that are cut off at 0 have neither their variance nor their mean
-    is_cut = is_whole and stack_lowest <= 0 and black.value < STEPS * deviation
     transfer = fit_transfer(
         flat_levels,
-        [] if is_cut else levels,
+        _levels_with_variance(levels, is_cut, noise.unclipped),
         black.value,
         max(row.value, 0.0) + max(column.value, 0.0),
         is_whole,
@@ -199,6 +211,10 @@ def fit_iso(
         fixed,
         SHOOT_FLATS if flats else SHOOT_PAIRS,
     )
+    read, source = None, "clipped" if is_cut else "darks"
+    if is_cut and noise.unclipped is None:
+        black, read = bounds_of(transfer, black.value)
+        source = "hidden"
     return IsoFit(
         iso,
         black,
@@ -220,7 +236,43 @@ def fit_iso(
         good,
         is_whole,
         deviation,
+        read,
+        source,
     )
+
+
+def _dark_level(group, stack, good, is_whole):
+    """Return the numbers of dark frames, with the mean before clipping at 0."""
+    level = level_of(group, stack, good)
+    return unclipped_level(level, stack, good) if is_whole and is_clipped(stack, good) else level
+
+
+class _DarkNoise(NamedTuple):
+    """Noise of dark frames: variances of pixels, rows and columns [DN^2], and the fixed pattern."""
+
+    pixel: float
+    row: Range
+    column: Range
+    offsets: Pattern
+    unclipped: Unclipped | None
+
+
+def _dark_noise(stack, good, is_cut):
+    """Return the noise of dark frames, before clipping at 0 if that is known."""
+    row, column, pixel = temporal_lines(stack, good)
+    offsets = split_pattern(*(half.copy() for half in stack.halves), good, stack.period)
+    found = unclip(stack, good) if is_cut else None
+    if found is None:
+        return _DarkNoise(pixel.value, row, column, offsets, None)
+    offsets = pattern_before_clipping(offsets, found)
+    return _DarkNoise(found.pixel.value, found.row, found.column, offsets, found)
+
+
+def _levels_with_variance(levels, is_cut, uncut: Unclipped | None):
+    """Return dark levels whose variances are known: of clipped frames those of the main group."""
+    if not is_cut:
+        return levels
+    return [] if uncut is None else [level_before_clipping(levels[0], uncut)]
 
 
 def _longest(groups, main):
@@ -256,24 +308,15 @@ def _restless(stack):
     return found, jump
 
 
-def _lines(stack, good):
-    """Return the temporal variances of rows, of columns and of pixels [DN^2]."""
-    pixel = stack.pixel_square(good)
-    rows, cols = stack.shape
-    row = difference_of(stack.row_square(), pixel.scaled(1 / cols))
-    column = difference_of(stack.column_square(), pixel.scaled(1 / rows))
-    return row, column, pixel
-
-
-def _black_range(dark_line, offsets, shape, deviation, is_whole):
-    """Return the black level: errors of the frames, and of a chip whose pattern is a sample."""
+def _black_range(dark_line, offsets, shape, deviation, is_whole, more):
+    """Return the black level: errors of the frames, of a chip whose pattern is a sample, and more."""
     rows, cols = shape
     pattern = (
         max(offsets.pixel.high, 0.0) / (rows * cols)
         + max(offsets.row.high, 0.0) / rows
         + max(offsets.column.high, 0.0) / cols
     )
-    error = math.sqrt(dark_line.black_variance + pattern)
+    error = math.sqrt(dark_line.black_variance + pattern + more**2)
     bias = rounding_bias(deviation) if is_whole else 0.0
     return normal_range(dark_line.black, error, bias)
 
@@ -282,7 +325,7 @@ def _read_flats(flats, black, dark_halves, good, period, darks, done, total):
     """Return the flats' levels, the pattern of the response, the share of dead pixels, good pixels."""
     groups = group_flats(flats, black)
     stated = flats[0].frame.white_level
-    levels, response = [], _Response(dark_halves, period, "".join(flats[0].frame.cfa))
+    levels, response = [], Response(dark_halves, period, "".join(flats[0].frame.cfa))
     brightest = np.max([one.means for one in groups[-1]], axis=0) - black
     for group in groups:
         stack = stack_group(group, done, total, good=good)
@@ -312,65 +355,6 @@ def _check_still(level):
             f"{level.names[0]} and {level.names[1]} are displaced by {np.hypot(*shift):.2f} pixel: the "
             "tripod or the target moved; shoot the pairs again on a firm tripod, with a remote release"
         )
-
-
-class _Response:
-    """The response of pixels from all levels below saturation, in two halves of the frames."""
-
-    def __init__(self, dark_halves, period, letters):
-        self._darks, self._period, self._letters = dark_halves, period, letters
-        self._sums = [np.zeros(dark_halves[0].shape, np.float32) for _ in dark_halves]
-        self._weights = np.zeros(math.prod(period))
-
-    def add(self, stack, level, black, limits):
-        """Add the frames of a level; channels that are clipped, or above the limits [DN], do not count."""
-        if stack.count < 2:
-            return
-        for index, place in enumerate(stack.places()):
-            letter = self._letters[index]
-            point = level.points[letter]
-            signal = point.mean - black
-            is_weak = not signal > 3 * math.sqrt(max(point.variance, 1e-9))
-            if letter in level.clipped or is_weak or point.brightest - black > limits[index]:
-                continue
-            weight = signal**2 / max(point.variance, 1e-9) * stack.count
-            for total, half, dark in zip(self._sums, stack.halves, self._darks, strict=True):
-                part = half[place] - dark[place]
-                total[place] += part * np.float32(weight / part.mean(dtype=np.float64))
-            self._weights[index] += weight
-
-    def finish(self, good):
-        """Return the pattern of the response, the share of dead pixels, and good pixels."""
-        if not (self._weights > 0).all():
-            return None, share_range(0, good.size), good
-        for total in self._sums:
-            for (row, col), weight in zip(np.ndindex(*self._period), self._weights, strict=True):
-                total[row :: self._period[0], col :: self._period[1]] /= np.float32(weight)
-        mean = (self._sums[0] + self._sums[1]) / 2
-        dead = (mean < DEAD) & good
-        everywhere = np.ones(good.shape, bool)
-        flat = _flatten(mean, everywhere & ~dead, self._period)
-        for total in self._sums:
-            total /= flat
-        mean /= flat
-        bad = outliers(mean, good & ~dead, self._period)
-        good = good & ~dead & ~bad
-        pattern = split_pattern(*self._sums, good, self._period, DEGREE)
-        return pattern, share_range(int(np.count_nonzero(dead)), good.size), good
-
-
-def _flatten(mean, good, period):
-    """Return the smooth surface of each place of the period, shape (rows, cols)."""
-    from gpusim.fit.patterns import trend
-
-    smooth = np.ones_like(mean)
-    rows, cols = period
-    for row in range(rows):
-        for col in range(cols):
-            place = slice(row, None, rows), slice(col, None, cols)
-            degree = min(DEGREE, min(mean[place].shape) // 4)
-            smooth[place] = trend(mean[place], good[place], degree)
-    return np.maximum(smooth, np.float32(0.05))
 
 
 def line_of_reads(fits: Sequence[IsoFit]) -> tuple[Range, Range, float] | None:

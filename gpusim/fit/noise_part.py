@@ -16,7 +16,7 @@ from gpusim.fit.findings import (
     spectrum_findings,
 )
 from gpusim.fit.intervals import Range, normal_range, root_of, widened
-from gpusim.fit.noise import SHOOT_DARKS, STEPS, IsoFit, chance_of_channels, line_of_reads
+from gpusim.fit.noise import SHOOT_DARKS, IsoFit, chance_of_channels, line_of_reads
 from gpusim.fit.noise_plots import noise_plots
 from gpusim.fit.rounding import FINE
 from gpusim.fit.sorting import Summary
@@ -27,6 +27,8 @@ PATTERNS = ("pixel", ""), ("row", "row_"), ("column", "column_")
 FEW = 0.03  # excess kurtosis that is no tail
 BLACK_NOTES = {
     "darks": "",
+    "clipped": "of a normal distribution whose values below 0 are clipped",
+    "hidden": "bounds: nearly all dark values are 0",
     "stated": "stated by the files, not measured",
     "bounds": "bounds: below the darkest pixels, and not so low that their noise would be below 0",
 }
@@ -75,6 +77,8 @@ def _estimates(fit):
     read_note = "all noise of one read of a pixel"
     if fit.bounded_read is not None:
         read_note = "bounds: the black level is not known"
+    elif fit.black_source == "clipped":
+        read_note += ", from dark frames that are clipped at 0"
     elif fit.dark_deviation < FINE or (fit.darks and fit.read.low == 0):
         read_note = "rounding hides most of it"
     found = {
@@ -333,11 +337,13 @@ def _unexplained(fit, has_several):
             f"read noise has the tails of a {fit.tails.name} distribution (shape {fit.tails.shape:.3g}, "
             f"excess kurtosis {fit.tails.kurtosis:+.2f}), the camera's is Gaussian{end}"
         )
-    if fit.is_whole and fit.black.value < STEPS * fit.dark_deviation:
+    if fit.black_source == "clipped":
         yield (
-            f"dark pixels reach 0 DN: the black level, {fit.black.value:.3g} DN, is less than {STEPS:g} "
-            f"standard deviations; read noise and black level are estimated from what is left{end}"
+            f"dark pixels reach 0 DN: the black level, {fit.black.value:.3g} DN, is too low for noise of "
+            f"{fit.dark_deviation:.3g} DN; both are estimated as of a normal distribution, hot pixels are rough{end}"
         )
+    if fit.black_source == "hidden":
+        yield f"nearly all values of dark frames are 0 DN: their noise cannot be measured{end}"
 
 
 def _profile_lines(fit, summaries):
@@ -383,6 +389,11 @@ def _unknown(fits, estimates, summaries):
         yield (
             "black level and read noise: the files do not state a black level, there are bounds only; shoot two "
             "or more frames with the lens capped, or give .npz with black_level"
+        )
+    if fit.black_source == "hidden":
+        yield (
+            "black level and read noise: nearly all values of dark frames are 0, there are bounds only; raw files "
+            "whose black level is above 0 would tell"
         )
     if fit.offsets is None:
         yield f"DSNU, fixed rows and columns, dark current, defects, tails: no dark frames; {SHOOT_DARKS}"

@@ -9,13 +9,13 @@ import numpy as np
 
 from gpusim.domain.errors import BadData, BadFile
 from gpusim.fit.darks import DarkLine
-from gpusim.fit.intervals import Range, Z
+from gpusim.fit.intervals import Range
 from gpusim.fit.noise import SHOOT_DARKS, IsoFit, fit_iso
 from gpusim.fit.patterns import share_range
 from gpusim.fit.scene_stack import SHOOT_PAIRS
 from gpusim.fit.scenes import read_scenes
 from gpusim.fit.sorting import Summary, group_scenes
-from gpusim.fit.transfer import SHOOT_FLATS, Transfer, fit_transfer
+from gpusim.fit.transfer import SHOOT_FLATS, Transfer, bounds_of, fit_transfer
 
 LEAST = 256  # pixels of a frame
 SCALED = 2.0  # largest value of frames that are scaled to 1
@@ -106,7 +106,7 @@ def _fit_scenes(iso, frames, has_black, done: Iterator[int], total: int) -> IsoF
         black = Range(stated, stated - STATED, stated + STATED)
         transfer = _with_black_error(transfer)
     else:
-        black, read = _bounds(transfer, darkest)
+        black, read = bounds_of(transfer, darkest)
         transfer = fit_from(black.value)
     shape, nothing = groups[0][0].shape, np.zeros(0)
     whole = shape[0] * shape[1]
@@ -146,22 +146,3 @@ def _with_black_error(transfer: Transfer) -> Transfer:
 
     lines = {letter: widened(line) for letter, line in transfer.by_channel.items()}
     return replace(transfer, line=widened(transfer.line), by_channel=lines)
-
-
-def _bounds(transfer: Transfer, darkest: float) -> tuple[Range, Range]:
-    """Return bounds of an unknown black level [DN], and of the read noise [e-].
-
-    The black level is below the darkest pixels, and not so low that the variance there is below 0. The
-    value between keeps the variance of every signal.
-
-    Args:
-        transfer: Line over the signal above the darkest pixels.
-        darkest: Mean of the darkest pixels [DN].
-    """
-    offset, gain = max(transfer.line.offset, 0.0), transfer.line.slope
-    reach = offset / gain
-    jacobian = np.array([1 / gain, -reach / gain])
-    error = math.sqrt(max(float(jacobian @ transfer.line.covariance @ jacobian), 0.0))
-    black = Range(darkest - reach / 2, darkest - reach - Z * error, darkest)
-    largest = transfer.read.high
-    return black, Range(math.sqrt(offset / 2) / gain, 0.0, largest)

@@ -10,6 +10,7 @@ from gpusim.domain.errors import BadData
 from gpusim.fit.intervals import (
     Line,
     Range,
+    Z,
     chance_of_normal,
     fit_line,
     fit_polynomial,
@@ -372,3 +373,22 @@ def chance_of_curvature(transfer: Transfer) -> float:
     """Return the probability of a curvature of the variance at least as large if it is linear."""
     value, error = transfer.curvature
     return chance_of_normal(value / error) if math.isfinite(error) else 1.0
+
+
+def bounds_of(transfer: Transfer, darkest: float) -> tuple[Range, Range]:
+    """Return bounds of an unknown black level [DN], and of the read noise [e-].
+
+    The black level is below the darkest pixels, and not so low that the variance there is below 0. The
+    value between keeps the variance of every signal.
+
+    Args:
+        transfer: Line over the signal above the darkest pixels.
+        darkest: Mean of the darkest pixels [DN].
+    """
+    offset, gain = max(transfer.line.offset, 0.0), transfer.line.slope
+    reach = offset / gain
+    jacobian = np.array([1 / gain, -reach / gain])
+    error = math.sqrt(max(float(jacobian @ transfer.line.covariance @ jacobian), 0.0))
+    black = Range(darkest - reach / 2, darkest - reach - Z * error, darkest)
+    largest = transfer.read.high
+    return black, Range(math.sqrt(offset / 2) / gain, 0.0, largest)

@@ -539,7 +539,7 @@ def record(monkeypatch):
         return SimpleNamespace(lines=lines, **none, write=write)
 
     def compared(camera, *files, **settings):
-        finding = gpusim.fit.verdicts.Finding("all", "none", 0.0, 0.0, 0.0, 1.0, "agrees")
+        finding = gpusim.fit.verdicts.Finding("all", "none", 0.0, 0.0, 0.0, 0.0, 1.0, "agrees")
         return gpusim.fit.compare.Comparison(said(camera, *files, settings), (finding,))
 
     def network_trained(tiles, *, tell, **options):

@@ -34,20 +34,22 @@ def frames(count=2, low=60, high=70, cfa=BAYER, shape=(48, 52), seed=0, **settin
     [
         (0.001, 0.001, "agrees"),
         (0.03, 0.003, "differs"),
-        (0.015, 0.003, "cannot be judged"),  # not 0, but may be within what is agreed
+        (0.015, 0.003, "agrees"),  # up to 0.015 + 1.645 0.003 = 0.0199
+        (0.015, 0.0031, "cannot be judged"),  # up to 0.0201
         (0.0, 0.02, "cannot be judged"),
         (0.03, 0.03, "cannot be judged"),
         (-0.05, 0.001, "differs"),
     ],
 )
 def test_verdicts_by_hand(difference, error, state):
-    """One statistic: 1.96 standard errors on both sides, agreement within 0.02."""
+    """One statistic: 1.96 standard errors on both sides, 1.645 on one side; agreement within 0.02."""
     one = Statistic("a", difference, error, 0.02, "%", freedom=math.inf)
     (found,) = judge([("group", [one])])
     assert found.state == state and state in found.words
     assert (found.low, found.high) == pytest.approx(
         (difference - 1.959964 * error, difference + 1.959964 * error), rel=1e-6
     )
+    assert found.reach == pytest.approx(abs(difference) + 1.644854 * error, rel=1e-6)
 
 
 def test_intervals_are_wider_for_more_statistics_and_fewer_degrees_of_freedom():
@@ -56,6 +58,7 @@ def test_intervals_are_wider_for_more_statistics_and_fewer_degrees_of_freedom():
     assert many.high == pytest.approx(3.0233, abs=1e-3)  # normal quantile of 1 - 0.05 / 40
     few = Statistic("a", 0.0, 1.0, 1.0, freedom=5)
     assert judge([("group", [few])])[0].high == pytest.approx(2.5706, abs=1e-3)  # Student's t
+    assert many.reach == pytest.approx(1.644854, abs=1e-6)  # all must agree: no wider for more
     far = Statistic("a", -1.0, 0.1, 2.0, is_distance=True)
     assert judge([("group", [far])])[0].low == 0
 
