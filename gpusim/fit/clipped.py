@@ -73,6 +73,20 @@ def is_clipped(stack: FrameStack, good: np.ndarray) -> bool:
     return stack.lowest <= 0 and mean <= STEPS * math.sqrt(variance)
 
 
+def is_above_zero(level: Level, deviation: float) -> bool:
+    """Return whether no channel of a level is clipped at 0, and its frames are a pair at least.
+
+    Args:
+        level: The level.
+        deviation: Standard deviation of dark values [DN].
+    """
+    reach = [
+        point.mean - STEPS * math.hypot(point.variance**0.5, deviation)
+        for point in level.points.values()
+    ]
+    return level.count > 1 and min(reach) > 0
+
+
 def temporal_lines(stack: FrameStack, good: np.ndarray):
     """Return the temporal variances of rows, of columns, and of pixels [DN^2].
 

@@ -10,6 +10,7 @@ import numpy as np
 from gpusim.domain.errors import BadData
 from gpusim.fit.clipped import (
     Unclipped,
+    is_above_zero,
     is_clipped,
     level_before_clipping,
     pattern_before_clipping,
@@ -196,7 +197,7 @@ def fit_iso(
     del stack
     if flats:
         flat_levels, response, dead, good = _read_flats(
-            flats, black.value, halves, good, period, levels, done, total
+            flats, black.value, None if is_cut else halves, good, levels, deviation, done, total
         )
     else:
         flat_levels, _, _ = read_scenes(scenes, done, total)
@@ -321,11 +322,14 @@ def _black_range(dark_line, offsets, shape, deviation, is_whole, more):
     return normal_range(dark_line.black, error, bias)
 
 
-def _read_flats(flats, black, dark_halves, good, period, darks, done, total):
-    """Return the flats' levels, the pattern of the response, the share of dead pixels, good pixels."""
-    groups = group_flats(flats, black)
-    stated = flats[0].frame.white_level
-    levels, response = [], Response(dark_halves, period, "".join(flats[0].frame.cfa))
+def _read_flats(flats, black, dark_halves, good, darks, deviation, done, total):
+    """Return the flats' levels, the pattern of the response, the share of dead pixels, good pixels.
+
+    Without maps of dark pixels (None), as these are clipped, the darkest flats that are not clipped at 0 serve.
+    """
+    groups, frame = group_flats(flats, black), flats[0].frame
+    stated = frame.white_level
+    levels, response = [], Response(dark_halves, good.shape, frame.period, "".join(frame.cfa))
     brightest = np.max([one.means for one in groups[-1]], axis=0) - black
     for group in groups:
         stack = stack_group(group, done, total, good=good)
@@ -333,7 +337,9 @@ def _read_flats(flats, black, dark_halves, good, period, darks, done, total):
         _check_still(level)
         levels.append(level)
         find_clipping(levels, darks, stated)
-        if group is not groups[-1]:
+        if response.halves is None and is_above_zero(level, deviation):
+            response.halves = stack.halves
+        elif group is not groups[-1]:
             response.add(stack, level, black, SAFE * brightest)
     if not any(level.count > 1 for level in levels):
         raise BadData(f"{levels[0].names[0]} is the only flat of its level; {SHOOT_FLATS}")

@@ -13,14 +13,16 @@ class Response:
     """The response of pixels from all levels below saturation, in two halves of the frames.
 
     Args:
-        dark_halves: Mean of each half of the dark frames [DN], shape (rows, cols).
+        halves: Mean of each half of the dark frames [DN], shape (rows, cols); None: not known yet, and
+            levels do not count until it is.
+        shape: Rows and columns of a frame.
         period: Rows and columns of the mosaic's period.
         letters: Letters of the places of the period.
     """
 
-    def __init__(self, dark_halves, period, letters):
-        self._darks, self._period, self._letters = dark_halves, period, letters
-        self._sums = [np.zeros(dark_halves[0].shape, np.float32) for _ in dark_halves]
+    def __init__(self, halves, shape, period, letters):
+        self.halves, self._period, self._letters = halves, period, letters
+        self._sums = [np.zeros(shape, np.float32) for _ in range(2)]
         self._weights = np.zeros(math.prod(period))
 
     def add(self, stack, level, black, limits):
@@ -32,19 +34,22 @@ class Response:
             black: Black level [DN].
             limits: Largest signal of each place of the period [DN].
         """
-        if stack.count < 2:
+        if stack.count < 2 or self.halves is None:
             return
         for index, place in enumerate(stack.places()):
             letter = self._letters[index]
             point = level.points[letter]
-            signal = point.mean - black
-            is_weak = not signal > 3 * math.sqrt(max(point.variance, 1e-9))
+            parts = [
+                half[place] - dark[place]
+                for half, dark in zip(stack.halves, self.halves, strict=True)
+            ]
+            steps = [part.mean(dtype=np.float64) for part in parts]
+            is_weak = not min(steps) > 3 * math.sqrt(max(point.variance, 1e-9))
             if letter in level.clipped or is_weak or point.brightest - black > limits[index]:
                 continue
-            weight = signal**2 / max(point.variance, 1e-9) * stack.count
-            for total, half, dark in zip(self._sums, stack.halves, self._darks, strict=True):
-                part = half[place] - dark[place]
-                total[place] += part * np.float32(weight / part.mean(dtype=np.float64))
+            weight = np.mean(steps) ** 2 / max(point.variance, 1e-9) * stack.count
+            for total, part, step in zip(self._sums, parts, steps, strict=True):
+                total[place] += part * np.float32(weight / step)
             self._weights[index] += weight
 
     def finish(self, good):

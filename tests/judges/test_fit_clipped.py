@@ -22,7 +22,16 @@ def clipped_camera(seed):
     gain = camera.gains[100]
     read = float(np.exp(rng.uniform(math.log(0.5), math.log(8))))
     factor = read / gain / camera.read
-    parts = ("read", "row", "column", "dsnu", "row_dsnu", "column_dsnu", "dark_current", "hot_current")
+    parts = (
+        "read",
+        "row",
+        "column",
+        "dsnu",
+        "row_dsnu",
+        "column_dsnu",
+        "dark_current",
+        "hot_current",
+    )
     scaled = {key: factor * getattr(camera, key) for key in parts}
     return replace(camera, black=0, adc=min(camera.adc, read / 2), gains={100: gain}, **scaled)
 
