@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from gpusim.fit.clipped import (
     unclipped_level,
 )
 from gpusim.fit.darks import DarkLine, Drift, Hot, find_drift, find_hot, fit_dark_line
-from gpusim.fit.findings import Tails, find_tails
+from gpusim.fit.findings import ALARM, Tails, find_tails
 from gpusim.fit.intervals import (
     Range,
     Z,
@@ -43,6 +43,7 @@ from gpusim.fit.transfer import (
     find_clipping,
     fit_linearity,
     fit_transfer,
+    pool_channels,
 )
 
 RESTLESS = 1e-7  # chance of a pixel's temporal variance, for telegraph noise
@@ -182,6 +183,8 @@ def fit_iso(
     row, column, offsets = noise.row, noise.column, noise.offsets
     line_error = max(row.value, 0.0) / stack.shape[0] + max(column.value, 0.0) / stack.shape[1]
     dark_line = fit_dark_line(levels, line_error)
+    if is_cut:
+        dark_line = _through(dark_line, levels[0])
     fixed = sum(max(part.value, 0.0) for part in (offsets.pixel, offsets.row, offsets.column))
     deviation = math.sqrt(noise.pixel + max(row.value, 0.0) + max(column.value, 0.0) + fixed)
     error = 0.0
@@ -267,6 +270,17 @@ def _dark_noise(stack, good, is_cut):
         return _DarkNoise(pixel.value, row, column, offsets, None)
     offsets = pattern_before_clipping(offsets, found)
     return _DarkNoise(found.pixel.value, found.row, found.column, offsets, found)
+
+
+def _through(line, level):
+    """Return a dark line whose black level is from one level: the others' clipping is known less well.
+
+    Large single electrons make their values no normal numbers; then the rates are left out.
+    """
+    if line.chance < ALARM:
+        line = replace(line, rates={})
+    rate, _ = line.rates.get(level.temperature, (0.0, 0.0))
+    return replace(line, black=pool_channels(level).mean - rate * (level.exposure_time or 0.0))
 
 
 def _levels_with_variance(levels, is_cut, uncut: Unclipped | None):

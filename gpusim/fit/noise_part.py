@@ -9,6 +9,7 @@ import numpy as np
 from gpusim.fit.darks import fit_doubling
 from gpusim.fit.estimate import Estimate, Part
 from gpusim.fit.findings import (
+    ALARM,
     Finding,
     alarms,
     banding_findings,
@@ -265,8 +266,10 @@ def findings_of(fit: IsoFit) -> list[Finding]:
     found: list[Finding] = []
     if fit.darks:
         dark = max(fit.darks, key=lambda level: level.count)
-        found += neighbour_findings(dark, "dark frames")
-        found += spectrum_findings(dark, "dark frames") + banding_findings(dark, "dark frames")
+        if fit.black_source == "darks":  # clipping mixes noise of rows with the fixed pattern
+            found += neighbour_findings(dark, "dark frames")
+            found += spectrum_findings(dark, "dark frames")
+        found += banding_findings(dark, "dark frames")
     bright = [level for level in fit.flats if not level.clipped and level.lags]
     if bright:
         found += neighbour_findings(bright[-1], f"flats ({bright[-1].names[0]})")
@@ -397,6 +400,11 @@ def _unknown(fits, estimates, summaries):
         )
     if fit.offsets is None:
         yield f"DSNU, fixed rows and columns, dark current, defects, tails: no dark frames; {SHOOT_DARKS}"
+    elif fit.black_source == "clipped" and fit.dark_line.chance < ALARM:
+        yield (
+            "dark current: dark frames are clipped at 0, and their level is no line over exposure time; raw files whose "
+            "black level is above 0 would tell"
+        )
     elif not any(key.startswith("noise.dark_current") for key in estimates):
         yield (
             "dark current: dark frames of one exposure time, or of an unknown one; shoot darks of two "

@@ -73,10 +73,15 @@ def test_frames_above_zero_are_not_clipped():
 
 
 def save(folder, level):
-    for kind, electrons, count in (("darks", 0, COUNT), *(("flats", n, 2) for n in (200, 500, 999))):
+    for kind, electrons, count in (
+        ("darks", 0, COUNT),
+        *(("flats", n, 2) for n in (200, 500, 999)),
+    ):
         (folder / kind).mkdir(parents=True, exist_ok=True)
         for k, one in enumerate(draw(level, count, electrons=electrons)):
-            np.savez(folder / kind / f"{electrons}_{k}.npz", dn=one, exposure_time_s=1e-3 + electrons)
+            np.savez(
+                folder / kind / f"{electrons}_{k}.npz", dn=one, exposure_time_s=1e-3 + electrons
+            )
 
 
 def test_dark_frames_of_zeros_give_bounds(tmp_path):

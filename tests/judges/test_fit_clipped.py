@@ -44,7 +44,10 @@ def covered(seeds):
         fit = fit_to(camera)
         assert any("dark pixels reach 0" in line for line in fit.unexplained), seed
         for key, value in truth(camera).items():
-            one = fit.estimates[key]
+            one = fit.estimates.get(key)
+            if one is None:  # said as unknown, of cameras whose single electrons are large
+                assert "dark_current" in key and any("dark current" in line for line in fit.unknown)
+                continue
             found[key].append(one.low <= value <= one.high)
             if not found[key][-1]:
                 print(seed, key, f"{value:.5g}: {one.value:.5g} [{one.low:.5g} .. {one.high:.5g}]")
