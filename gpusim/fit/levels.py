@@ -1,5 +1,6 @@
 """Numbers of one stack of frames: means and variances by channel."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -111,9 +112,9 @@ def level_of(group: Sequence[Summary], stack: FrameStack, good: np.ndarray) -> L
         places = [place for index, place in enumerate(stack.places()) if index in indices]
         means = [float(stack.mean[place][good[place]].mean(dtype=np.float64)) for place in places]
         values, relative = moments[indices].T
-        weights = 1 / np.maximum(relative, 1e-30) if has_pairs else np.ones(len(indices))
-        variance = float(np.sum(weights * values) / weights.sum())
-        spread = float(np.sum((weights / weights.sum()) ** 2 * relative)) * variance**2
+        # places of a channel have equal noise: weights from their own kurtosis would be noise only
+        variance = float(np.mean(values))
+        spread = float(np.mean(values**2 * relative)) / len(values) if has_pairs else math.inf
         number = sum(np.count_nonzero(good[place]) for place in places) * stack.count
         sample = np.concatenate(
             [

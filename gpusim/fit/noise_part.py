@@ -402,8 +402,8 @@ def _unknown(fits, estimates, summaries):
         yield f"DSNU, fixed rows and columns, dark current, defects, tails: no dark frames; {SHOOT_DARKS}"
     elif fit.black_source == "clipped" and fit.dark_line.chance < ALARM:
         yield (
-            "dark current: dark frames are clipped at 0, and their level is no line over exposure time; raw files whose "
-            "black level is above 0 would tell"
+            "dark current: dark frames are clipped at 0, and their level is no line over exposure time; raw files "
+            "whose black level is above 0 would tell"
         )
     elif not any(key.startswith("noise.dark_current") for key in estimates):
         yield (

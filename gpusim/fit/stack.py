@@ -45,7 +45,8 @@ class FrameStack:
         self.lowest, self.highest, self.at_highest = math.inf, -math.inf, 0.0
         self._is_dark = is_dark
         self.squares = self.residual = None
-        self._squares_of = np.zeros((math.prod(period), 3))  # number, squares, fourth powers
+        # number, squares, fourth powers and their number
+        self._squares_of = np.zeros((math.prod(period), 4))
         self.row_means, self.column_means = [], []
         self.phase_means = []
         self.row_spectrum, self.column_spectrum = [], []
@@ -120,12 +121,14 @@ class FrameStack:
         height, width = plane.shape
         chosen = plane if self.good is None else plane[self.good[place]]
         square = np.square(chosen, dtype=np.float32)
-        number = chosen.size * (1 - 1 / height) * (1 - 1 / width)
+        left = (1 - 1 / height) * (1 - 1 / width)  # of the variance, without rows and columns
+        number = chosen.size * left
         fourth = limited if self.good is None else limited[self.good[place]]
         self._squares_of[index] += (
             number,
             float(square.sum(dtype=np.float64)),
             float((np.square(fourth) ** 2).sum(dtype=np.float64)),
+            number * left,
         )
 
     def _add_correlations(self, limited):
@@ -159,9 +162,9 @@ class FrameStack:
 
         What rows and columns have in common is left out. Shape (places, 2).
         """
-        number, square, fourth = self._squares_of.T
+        number, square, fourth, of_fourth = self._squares_of.T
         value = square / number
-        kurtosis = np.clip(fourth / number / np.maximum(value, 1e-12) ** 2, 1.2, 20.0)
+        kurtosis = np.clip(fourth / of_fourth / np.maximum(value, 1e-12) ** 2, 1.2, 20.0)
         return np.stack([value, (kurtosis - 1) / number], axis=1)
 
     def pixel_square(self, good: np.ndarray) -> MeanSquare:

@@ -21,6 +21,9 @@ def clipped_camera(seed):
     camera, rng = draw_camera(seed), np.random.default_rng([seed, 45])
     gain = camera.gains[100]
     read = float(np.exp(rng.uniform(math.log(0.5), math.log(8))))
+    read = min(
+        read, 0.7 * math.sqrt(gain * camera.white)
+    )  # light's noise is above it at saturation
     factor = read / gain / camera.read
     parts = (
         "read",
