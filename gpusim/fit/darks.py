@@ -8,7 +8,12 @@ import numpy as np
 
 from gpusim.fit.intervals import Range, chance_of, chance_of_normal, normal_range
 from gpusim.fit.levels import Level
+from gpusim.fit.stack import FrameStack
 from gpusim.fit.transfer import pool_channels
+
+RESTLESS = 1e-7  # chance of a pixel's temporal variance, for telegraph noise
+# least variance of a telegraph pixel, of its squared offset: four fifths of the time up
+JUMP = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,3 +226,26 @@ def find_hot(excess: np.ndarray, hot: np.ndarray, seconds: float) -> Hot | None:
         normal_range(share, share * relative),
         normal_range(scale, scale * spread),
     )
+
+
+def find_restless(stack: FrameStack) -> tuple[np.ndarray, float]:
+    """Return pixels whose temporal variance is too large for noise, and their mean jump [DN].
+
+    Args:
+        stack: Dark frames.
+    """
+    import scipy.special
+
+    variance = stack.squares / np.float32(stack.freedom)
+    middle = float(np.median(variance[::3, ::3]))
+    freedom = stack.freedom
+    # the median of a mean square lies below its expectation
+    typical = middle * freedom / (2 * scipy.special.gammaincinv(freedom / 2, 0.5))
+    limit = 2 * scipy.special.gammainccinv(freedom / 2, RESTLESS) / freedom * max(typical, 0.05)
+    found = variance > 1.5 * limit
+    # a pixel that jumps by J has offsets up to J and a variance near J^2 / 4; a hot one has far less
+    offset = stack.mean - np.median(stack.mean[::3, ::3])
+    found &= variance - typical > JUMP * offset**2
+    excess = variance[found] - typical
+    jump = float(np.mean(2 * np.sqrt(np.maximum(excess, 0)))) if found.any() else 0.0
+    return found, jump

@@ -18,12 +18,19 @@ from gpusim.fit.clipped import (
     unclip,
     unclipped_level,
 )
-from gpusim.fit.darks import DarkLine, Drift, Hot, find_drift, find_hot, fit_dark_line
+from gpusim.fit.darks import (
+    DarkLine,
+    Drift,
+    Hot,
+    find_drift,
+    find_hot,
+    find_restless,
+    fit_dark_line,
+)
 from gpusim.fit.findings import ALARM, Tails, find_tails
 from gpusim.fit.intervals import (
     Range,
     Z,
-    chance_of_normal,
     normal_range,
     root_of,
     widened,
@@ -46,10 +53,6 @@ from gpusim.fit.transfer import (
     pool_channels,
 )
 
-RESTLESS = 1e-7  # chance of a pixel's temporal variance, for telegraph noise
-JUMP = (
-    0.25  # least variance of a telegraph pixel, of its squared offset: four fifths of the time up
-)
 MOVED = 5.0, 0.03  # standard errors and pixels of a displacement that is one
 SAFE = 0.85  # part of the brightest level that no channel of a darker one may reach
 SHOOT_DARKS = "shoot 8 or more frames with the lens capped at the exposure times of use"
@@ -159,7 +162,7 @@ def fit_iso(
     good &= ~outliers(stack.mean, good, period)
     is_cut = is_whole and is_clipped(stack, good)
     # clipped pixels differ in their variance by their offsets
-    restless, jump = (~good & good, 0.0) if is_cut else _restless(stack)
+    restless, jump = (~good & good, 0.0) if is_cut else find_restless(stack)
     good &= ~restless
     longest, hot = _longest(groups, main), None
     levels = []
@@ -304,25 +307,6 @@ def _longest(groups, main):
     return None if longest is main else longest
 
 
-def _restless(stack):
-    """Return pixels whose temporal variance is too large for noise, and their jumps [DN]."""
-    import scipy.special
-
-    variance = stack.squares / np.float32(stack.freedom)
-    middle = float(np.median(variance[::3, ::3]))
-    freedom = stack.freedom
-    # the median of a mean square lies below its expectation
-    typical = middle * freedom / (2 * scipy.special.gammaincinv(freedom / 2, 0.5))
-    limit = 2 * scipy.special.gammainccinv(freedom / 2, RESTLESS) / freedom * max(typical, 0.05)
-    found = variance > 1.5 * limit
-    # a pixel that jumps by J has offsets up to J and a variance near J^2 / 4; a hot one has far less
-    offset = stack.mean - np.median(stack.mean[::3, ::3])
-    found &= variance - typical > JUMP * offset**2
-    excess = variance[found] - typical
-    jump = float(np.mean(2 * np.sqrt(np.maximum(excess, 0)))) if found.any() else 0.0
-    return found, jump
-
-
 def _black_range(dark_line, offsets, shape, deviation, is_whole, more):
     """Return the black level: errors of the frames, of a chip whose pattern is a sample, and more."""
     rows, cols = shape
@@ -404,14 +388,3 @@ def line_of_reads(fits: Sequence[IsoFit]) -> tuple[Range, Range, float] | None:
     read = root_of(normal_range(line.offset, deviations[0]))
     adc = root_of(normal_range(line.slope, deviations[1]))
     return read, adc, line.chance
-
-
-def chance_of_channels(transfer: Transfer) -> float:
-    """Return the probability of gains of channels that differ as much if they are equal."""
-    if len(transfer.by_channel) < 2:
-        return 1.0
-    slopes = np.array([line.slope for line in transfer.by_channel.values()])
-    errors = np.array([math.sqrt(line.covariance[1, 1]) for line in transfer.by_channel.values()])
-    mean = float(np.sum(slopes / errors**2) / np.sum(1 / errors**2))
-    chances = [chance_of_normal(z) for z in (slopes - mean) / errors]
-    return min(1.0, len(chances) * min(chances))

@@ -9,7 +9,6 @@ import numpy as np
 from gpusim.fit.darks import fit_doubling
 from gpusim.fit.estimate import Estimate, Part
 from gpusim.fit.findings import (
-    ALARM,
     Finding,
     alarms,
     banding_findings,
@@ -17,12 +16,13 @@ from gpusim.fit.findings import (
     spectrum_findings,
 )
 from gpusim.fit.intervals import Range, normal_range, root_of, widened
-from gpusim.fit.noise import SHOOT_DARKS, IsoFit, chance_of_channels, line_of_reads
+from gpusim.fit.noise import IsoFit, line_of_reads
 from gpusim.fit.noise_plots import noise_plots
 from gpusim.fit.rounding import FINE
 from gpusim.fit.sorting import Summary
 from gpusim.fit.steps import curve_lines
-from gpusim.fit.transfer import chance_of_curvature, read_of
+from gpusim.fit.transfer import chance_of_channels, chance_of_curvature, read_of
+from gpusim.fit.unknown import known_white, unknown_lines
 
 PATTERNS = ("pixel", ""), ("row", "row_"), ("column", "column_")
 FEW = 0.03  # excess kurtosis that is no tail
@@ -60,7 +60,7 @@ def noise_part(fits: Sequence[IsoFit], summaries: Sequence[Summary]) -> Part:
         _settings(fits, estimates, summaries),
         noise_plots(fits),
         tuple(unexplained),
-        tuple(_unknown(fits, estimates, summaries)),
+        tuple(unknown_lines(fits, estimates, summaries)),
     )
 
 
@@ -182,17 +182,12 @@ def _common_estimates(fits):
     return found
 
 
-def _known_white(fit, summaries):
-    """Return the largest value [DN] that was reached or is stated, or None."""
-    return fit.transfer.white or summaries[0].frame.white_level
-
-
 def _settings(fits, estimates, summaries):
     """Return values of the camera file by section and key."""
     fit = fits[0]
     black = max(math.floor(fit.black.value + 0.5), 0)
     top = max(one.highest for one in summaries)
-    white = _known_white(fit, summaries)
+    white = known_white(fit, summaries)
     if white is None and fit.is_whole:
         white = next((2.0**bits - 1 for bits in USUAL_BITS if 2.0**bits > top), top)
     white = max(white or top, top)
@@ -367,61 +362,3 @@ def _profile_lines(fit, summaries):
             ]
         return []
     return []
-
-
-def _unknown(fits, estimates, summaries):
-    """Return lines about numbers that the shots do not give."""
-    fit = fits[0]
-    if fit.is_whole and _known_white(fit, summaries) is None:
-        yield (
-            "bits: no value is clipped and the files state no white level, the next usual number is taken; shoot a "
-            "pair of flats that is overexposed in all channels"
-        )
-    if not any(key.startswith("sensor.full_well_e") for key in estimates):
-        if fit.transfer.white is not None:
-            yield (
-                f"full well: the converter is full first, at {fit.transfer.white:g} DN; it is at least what "
-                "reaches that, which the camera file has"
-            )
-        else:
-            yield (
-                "full well: no flat is saturated, the camera file has what fills the converter; shoot a pair of flats "
-                "that is overexposed in all channels"
-            )
-    if fit.black_source == "bounds":
-        yield (
-            "black level and read noise: the files do not state a black level, there are bounds only; shoot two "
-            "or more frames with the lens capped, or give .npz with black_level"
-        )
-    if fit.black_source == "hidden":
-        yield (
-            "black level and read noise: nearly all values of dark frames are 0, there are bounds only; raw files "
-            "whose black level is above 0 would tell"
-        )
-    if fit.offsets is None:
-        yield f"DSNU, fixed rows and columns, dark current, defects, tails: no dark frames; {SHOOT_DARKS}"
-    elif fit.black_source == "clipped" and fit.dark_line.chance < ALARM:
-        yield (
-            "dark current: dark frames are clipped at 0, and their level is no line over exposure time; raw files "
-            "whose black level is above 0 would tell"
-        )
-    elif not any(key.startswith("noise.dark_current") for key in estimates):
-        yield (
-            "dark current: dark frames of one exposure time, or of an unknown one; shoot darks of two "
-            "times that differ tenfold or more"
-        )
-    if "noise.doubling_k" not in estimates:
-        yield (
-            "doubling of the dark current: needs darks at two temperatures that the files state; "
-            "the camera file has the base's"
-        )
-    if "noise.adc_dn" not in estimates:
-        yield "converter noise: is part of the read noise; shoot darks and flats at two ISO speeds to separate it"
-    if fit.linearity is None:
-        yield "linearity: needs flats of four or more exposure times in one constant light"
-    if fit.response is None:
-        yield "PRNU: no unclipped pairs of flats in all channels"
-    if fit.drift is None and fit.darks:
-        yield f"drift of the black level: {SHOOT_DARKS}"
-    if any(level.count < 2 for level in fit.flats):
-        yield "single flats are not used: their temporal noise needs pairs"

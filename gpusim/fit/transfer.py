@@ -375,6 +375,21 @@ def chance_of_curvature(transfer: Transfer) -> float:
     return chance_of_normal(value / error) if math.isfinite(error) else 1.0
 
 
+def chance_of_channels(transfer: Transfer) -> float:
+    """Return the probability of gains of channels that differ as much if they are equal.
+
+    Args:
+        transfer: The photon transfer line.
+    """
+    if len(transfer.by_channel) < 2:
+        return 1.0
+    slopes = np.array([line.slope for line in transfer.by_channel.values()])
+    errors = np.array([math.sqrt(line.covariance[1, 1]) for line in transfer.by_channel.values()])
+    mean = float(np.sum(slopes / errors**2) / np.sum(1 / errors**2))
+    chances = [chance_of_normal(z) for z in (slopes - mean) / errors]
+    return min(1.0, len(chances) * min(chances))
+
+
 def bounds_of(transfer: Transfer, darkest: float) -> tuple[Range, Range]:
     """Return bounds of an unknown black level [DN], and of the read noise [e-].
 
