@@ -1,7 +1,8 @@
 """Hidden cameras: a fit to raw frames gives back the truth inside its intervals, and notices wrong models.
 
 The frames come from `raw_cameras`, which shares no code with gpusim. The fit was developed on the seeds 0 .. 124; 2000
-.. 2039 were held back. An interval of 95 % misses by chance: of n cases, 95 % +- 2 sqrt(0.95 0.05 / n), +- 1.3 % for 1,100.
+.. 2039 were held back. An interval of 95 % misses by chance: of n cases, 95 % +- 2 sqrt(0.95 0.05 / n), +- 1.3 % for
+1,100.
 """
 
 import math
