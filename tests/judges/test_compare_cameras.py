@@ -17,6 +17,7 @@ TRIALS = 100
 FRAMES, SHAPE = 16, (176, 184)
 SMALL = (88, 92)  # enough for cameras that differ
 MOSAICS = {
+    "rccb": ("RC", "CB"),
     "bayer": ("RG", "GB"),
     "x-trans": ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG"),
     "quad-bayer": ("RRGG", "RRGG", "GGBB", "GGBB"),

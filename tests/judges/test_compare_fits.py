@@ -2,14 +2,16 @@
 
 The frames come from `raw_cameras`, which shares no code with gpusim: seven mosaics, 10 to 16 bits, odd sizes, defects.
 The fit has 4 darks and 5 pairs of flats, so that its numbers have errors. The file must agree with 16 darks and 16
-flats of the same camera in at least 95 % of the trials: chance makes
-fewer than 95 of 100 of a true rate of 99 % in 0.04 %. It
-differs from the same camera after a change.
+flats of the same camera in at least 95 % of the trials: chance makes fewer than 57 of 60 of a true rate of 99 % in
+0.3 %. It differs from the same camera after a change. Verdicts were developed on the seeds 0 .. 99.
+
+Darks of one exposure time give no hot pixels: in flats, some of one camera stand out, which is a difference.
 
 Lines have 3 to 15 % of the noise: the variance of 340 lines has an error of 8 %, and a comparison of stronger patterns
 of lines cannot be judged.
 """
 
+import faulthandler
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +23,7 @@ import gpusim as gs
 ISO, DARK, BRIGHTEST = 100, 1e-3, 0.1  # [s] of darks, and of flats at saturation
 FIT_DARKS, FIT_LEVELS = 4, (0.1, 0.25, 0.45, 0.65, 0.8)
 LEVEL = 0.3  # of saturation, of held-out flats
-TRIALS = 100
+SEEDS = range(1000, 1060)
 LINES = ("row", "column", "row_dsnu", "column_dsnu")
 
 
@@ -77,25 +79,23 @@ CHANGES = {
 }
 
 
-def judge(folder, seed, has_change=True):
+def judge(folder, seed):
     """Verdicts on held-out frames of the same camera, and of a changed one."""
     camera, rng = hidden_camera(seed), np.random.default_rng([seed, 92])
     file = fit_file(folder, camera, rng)
     right = compare_held_out(folder / "same", file, camera, rng, 16)
-    if not has_change:
-        return right, None
     change = list(CHANGES.values())[seed // 2 % len(CHANGES)]
     return right, compare_held_out(folder / "changed", file, change(camera), rng, 8)
 
 
 @pytest.mark.slow
 def test_a_fitted_camera_agrees_with_held_out_frames_and_differs_after_a_change(tmp_path):
+    faulthandler.cancel_dump_traceback_later()  # it may take longer than a test that hangs
     right, changed = [], []
-    for seed in range(TRIALS):
-        # the change at every second seed
-        found = judge(tmp_path / str(seed), seed, seed % 2 == 0)
-        right.append(found[0].state)
-        changed += [found[1].state] if found[1] else []
-    assert right.count("agrees") >= 0.95 * TRIALS, right
-    assert "differs" not in right
+    for seed in SEEDS:
+        same, other = judge(tmp_path / str(seed), seed)
+        right.append(same.state)
+        changed.append(other.state)
+    assert right.count("agrees") >= 0.95 * len(right), right
+    assert right.count("differs") <= 1, right
     assert changed.count("differs") >= 0.95 * len(changed), changed

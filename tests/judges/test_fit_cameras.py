@@ -5,6 +5,7 @@ The frames come from `raw_cameras`, which shares no code with gpusim. The fit wa
 1,100.
 """
 
+import faulthandler
 import math
 import tempfile
 from collections import defaultdict
@@ -70,6 +71,7 @@ def covered(seeds, chips):
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth_of_cameras_that_were_held_back():
+    faulthandler.cancel_dump_traceback_later()  # it may take longer than a test that hangs
     found, alarms = covered(HELD_OUT, CHIPS)
     shares = {key: (sum(cases), len(cases)) for key, cases in found.items()}
     total = sum(count for count, _ in shares.values()), sum(count for _, count in shares.values())
