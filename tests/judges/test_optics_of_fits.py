@@ -29,7 +29,7 @@ SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
 SHARPNESS_SEEDS = range(8000, 8020)
 TURNED_SEEDS = range(8020, 8026)
 DISTORTION_SEEDS = (*range(5001, 5007), *range(5008, 5014))
-SHADING_SEEDS = range(6020, 6040)
+SHADING_SEEDS = range(7000, 7020)
 BLACK = np.array([[64.0]])
 MAIN = "GYWCRBM"  # channels, the one of most light first
 WAVES = {"R": 605, "G": 535, "B": 460, "Y": 560, "C": 500, "M": 550, "W": 560}  # [nm] of channels
@@ -328,8 +328,7 @@ def test_shading_of_random_lenses():
         f"shading: largest error in the frame {100 * np.median(most):.2f} % (median), {100 * most.max():.2f} % (max); "
         f"intervals hold {share([one[1] for one in found]):.3f}"
     )
-    assert np.percentile(most, 95) < 0.005
-    assert most.max() < 0.01
+    assert most.max() < 0.005
     assert share([one[1] for one in found]) > 0.93
 
 
