@@ -31,6 +31,8 @@ WIDE = ("sum", 8, 10)  # the model that finds blocks with dust
 NEAR = 7  # blocks on a side of the neighbourhood of which dust differs
 TAIL = 4.0  # robust standard deviations of a block that is left out: dust, a hot pixel
 FAINT = 0.005  # dust that takes less of the light stays
+PART = 3  # blocks on a side of a part of the frame
+CLEAR = 5.5  # standard errors of a mean that is no chance: 2e-4 expected in 4,000 parts
 MIDDLE = 0.05  # standard deviation of the middle of round fall-offs, of half the frame's diagonal
 ROUNDS = 12
 STEP = 0.1  # longest step of the middle
@@ -48,12 +50,14 @@ class Falloff:
             middle, tilt along y and x, coefficients of even powers of the height. Shape (n,).
         error: Relative standard error in the four corners, see `frame_corners`.
         left: Relative residuals of blocks, (rows, cols); NaN: left out.
+        miss: Largest mean of them in a part of the frame that is no chance, see `PART`; 0: there is none.
     """
 
     model: tuple[str, int, int]
     coefficients: np.ndarray
     error: np.ndarray
     left: np.ndarray
+    miss: float
 
     __repr__ = short_repr
 
@@ -126,7 +130,22 @@ def fit_falloff(
     weights = np.exp([-(one[0] - score) / 2 for one in fits])
     apart = np.array([(one[4] - ends) ** 2 for one in fits])
     error = np.sqrt(variance + (weights @ apart) / weights.sum()) / ends
-    return Falloff(model, found, error, np.where(kept, left, np.nan).reshape(plane.shape))
+    left = (np.where(kept, left, np.nan) / (seen - left)).reshape(plane.shape)
+    return Falloff(model, found, error, left, _largest_miss(left, weight.reshape(plane.shape)))
+
+
+def _largest_miss(left, weight):
+    """Return the largest mean of neighbouring blocks' relative residuals that is no chance, or 0."""
+    there = np.isfinite(left)
+    own = np.where(there, left, 0.0)
+    even = own / weight  # of even noise
+    noise = 1.4826 * np.median(np.abs(even[there]))
+    count, total, chance = (
+        PART**2 * scipy.ndimage.uniform_filter(one, PART, mode="constant")
+        for one in (there.astype(float), own, even)
+    )
+    is_miss = np.abs(chance) > CLEAR * noise * np.sqrt(np.maximum(count, 1))
+    return float(np.abs(total / np.maximum(count, 1))[is_miss].max(initial=0.0))
 
 
 def _smooth_blocks(size, y, x, seen, weight, shape):

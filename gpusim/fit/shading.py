@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData
 from gpusim.fit.estimate import Estimate, Part, Plot
-from gpusim.fit.falloff import TAIL, Falloff, fit_falloff, frame_corners
+from gpusim.fit.falloff import Falloff, fit_falloff, frame_corners
 from gpusim.fit.planes import (
     block_places,
     channel_blocks,
@@ -25,8 +25,7 @@ ROUND = 0.0015  # most by which a round fall-off may miss the map, or twice the 
 COLOURED = 0.005  # difference of channels that is worth a line
 HEIGHTS = np.linspace(0, 1, 21)
 FLOOR = 4e-4  # relative error of the models themselves in the corners
-MISSED = 0.005  # of the median light, by which parts of the frame may miss the surface
-PARTS = 5  # blocks on a side of such a part
+MISSED = 0.002  # by which parts of the frame may miss the surface
 NODES = 33  # of a map over the longer side
 MOST_CLIPPED = 1e-3
 
@@ -177,10 +176,10 @@ def _describe_misfit(found, shape, main):
                 "the "
                 "camera file"
             )
-        if (miss := _largest_miss(own)) > MISSED:
+        if own.miss > MISSED:
             lines.append(
-                f"shading of {letter}: part of the frame misses the smooth surface by {100 * miss:.2g} % of the median "
-                "light (a kink in the fall-off, shadows, texture)"
+                f"shading of {letter}: part of the frame misses the surface by {100 * own.miss:.2g} % on average, "
+                "and single places by more (a kink in the fall-off, shadows, texture)"
             )
         lost = float(np.mean(np.isnan(own.left)))
         if lost > 0.01:
@@ -189,13 +188,6 @@ def _describe_misfit(found, shape, main):
                 "used"
             )
     return tuple(lines)
-
-
-def _largest_miss(own: Falloff):
-    """Return the largest mean residual of neighbouring blocks, chance apart."""
-    left = np.nan_to_num(own.left)
-    chance = TAIL * 1.4826 * np.median(np.abs(left)) / PARTS
-    return float(np.abs(scipy.ndimage.uniform_filter(left, PARTS)).max()) - chance
 
 
 def _plots(found, shape, main):
