@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy
 from numpy.polynomial import chebyshev, polynomial
+from numpy.typing import ArrayLike
 
 from gpusim.domain.short_repr import short_repr
 from gpusim.fit.planes import field_place
@@ -61,12 +62,12 @@ class Falloff:
 
     __repr__ = short_repr
 
-    def at(self, rows: np.ndarray, cols: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    def at(self, rows: ArrayLike, cols: ArrayLike, shape: tuple[int, int]) -> np.ndarray:
         """Return the response at rows and columns [pixel] that broadcast, 1 in the frame's middle."""
         y, x = np.broadcast_arrays(*(np.asarray(at, np.float64) for at in (rows, cols)))
         here = _respond(self.model, self.coefficients, y.ravel(), x.ravel(), shape)
-        middle = [np.array([(n - 1) / 2]) for n in shape]
-        return np.asarray(here / _respond(self.model, self.coefficients, *middle, shape)).reshape(
+        row, col = (np.array([(n - 1) / 2]) for n in shape)
+        return np.asarray(here / _respond(self.model, self.coefficients, row, col, shape)).reshape(
             y.shape
         )
 
@@ -106,23 +107,24 @@ def fit_falloff(
     light = scipy.ndimage.gaussian_filter(plane / middle, 2).ravel()
     weight = np.maximum(light, DARKEST) ** -0.5
     kept, spread = _smooth_blocks(plane.shape, y, x, seen, weight, shape)
-    corners = [
-        np.array(at, float) for at in zip(*(one[:2] for one in frame_corners(shape)), strict=True)
-    ]
+    end_rows, end_cols = (
+        np.array([place[k] for place in frame_corners(shape)], float) for k in (0, 1)
+    )
     fits = []
     for model in MODELS:
-        here = y[kept], x[kept], seen[kept], weight[kept]
-        found, slopes = _solve(model, *here, shape, spread)
-        count, size = len(here[0]), len(found)
+        found, slopes = _solve(model, y[kept], x[kept], seen[kept], weight[kept], shape, spread)
+        count, size = int(kept.sum()), len(found)
         if 2 * size > count:
             continue
         left = seen - _respond(model, found, y, x, shape)
         squares = float(((weight * left)[kept] ** 2).sum())
         score = count * np.log(squares / count + 1e-30) + PENALTY * size
-        ends = _slope(model, found, *corners, shape)
+        ends = _slope(model, found, end_rows, end_cols, shape)
         covariance = squares / max(count - size, 1) * np.linalg.pinv(slopes.T @ slopes)
         variance = np.einsum("ij,jk,ik->i", ends, covariance, ends)
-        fits.append((score, model, found, left, _respond(model, found, *corners, shape), variance))
+        fits.append(
+            (score, model, found, left, _respond(model, found, end_rows, end_cols, shape), variance)
+        )
     if not fits:
         return None
     score, model, found, left, ends, variance = min(fits, key=lambda one: one[0])

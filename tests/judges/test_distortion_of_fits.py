@@ -155,7 +155,8 @@ def test_stated_error_of_many_lenses(has_k3):
     print(
         f"distortion, k3 {has_k3}: {np.median(apart):.3f} (median), {apart.max():.3f} pixel (max), "
         f"{(apart > GOAL).sum()} of {len(apart)} beyond {GOAL}; the stated interval holds {is_inside.mean():.3f} "
-        f"(below {np.mean(apart < low):.2f}, above {np.mean(apart > high):.2f}), {(high > GOAL).sum()} are said, of those beyond "
+        f"(below {np.mean(apart < low):.2f}, above {np.mean(apart > high):.2f}), {(high > GOAL).sum()} are said, "
+        "of those beyond "
         f"{(high[apart > GOAL] > GOAL).sum()}"
     )
     assert is_inside.mean() >= 0.9
