@@ -68,8 +68,8 @@ def view(size, matrix, coefficients, turn, shift, squares, excess=0.0, fine=3, b
     return picture.reshape(rows, fine, cols, fine).mean((1, 3))
 
 
-def random_view(rng, size, matrix, coefficients, squares, **options):
-    """A view of a tilted board somewhere in the frame; returns the picture."""
+def random_pose(rng, size, matrix, squares):
+    """Turn (3, 3) and shift (3,) of a tilted board somewhere in the frame."""
     across, down = squares
     turn = rotation(*rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.3, 0.3))
     fill = rng.uniform(0.45, 0.75)
@@ -80,4 +80,10 @@ def random_view(rng, size, matrix, coefficients, squares, **options):
     shift = np.array(
         [at[0] * size[0] / matrix[0] * distance, at[1] * size[1] / matrix[1] * distance, distance]
     )
-    return view(size, matrix, coefficients, turn, shift - middle, squares, **options)
+    return turn, shift - middle
+
+
+def random_view(rng, size, matrix, coefficients, squares, **options):
+    """A view of a tilted board somewhere in the frame; returns the picture."""
+    turn, shift = random_pose(rng, size, matrix, squares)
+    return view(size, matrix, coefficients, turn, shift, squares, **options)

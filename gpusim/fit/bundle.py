@@ -39,6 +39,7 @@ class Geometry:
         errors: Half widths of the 95 % intervals of fx, fy, cx, cy and the coefficients, (9,).
         roots: Tables (n, 9) whose squares, root.T @ root, are covariances of these nine: from the corners' noise, and
             from the views' differences if there are enough.
+        own_roots: The same tables of the model in use; they differ from `roots` if that has no k3.
         shift: The nine with k3 less the nine without it, (9,); 0 if k3 is used.
         residuals: Corners less the model [pixel], one (N, 2) for each view.
         has_focal: Whether focal lengths and principal point were fitted.
@@ -48,6 +49,7 @@ class Geometry:
     coefficients: np.ndarray
     errors: np.ndarray
     roots: tuple[np.ndarray, ...]
+    own_roots: tuple[np.ndarray, ...]
     shift: np.ndarray
     residuals: list[np.ndarray]
     has_focal: bool
@@ -63,7 +65,8 @@ class Geometry:
 def displacement_error(found: Geometry, size: tuple[int, int]) -> tuple[float, float, float]:
     """Return the largest error of the distortion over the frame: median and 95 % interval [pixel].
 
-    Cameras that the views allow as well are drawn. A turn of the camera is no error.
+    Cameras that the views allow as well are drawn. A turn of the camera is no error. Without k3 in use, median and
+    lower end are those of a lens that has none, and the upper end is of one that may have it.
 
     Args:
         found: The geometry.
@@ -81,14 +84,21 @@ def displacement_error(found: Geometry, size: tuple[int, int]) -> tuple[float, f
     _, slopes = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), found.matrix, found.coefficients)
     turns, slopes = slopes[:, :3], slopes[:, 6:15]
     slopes = slopes - turns @ np.linalg.lstsq(turns, slopes, rcond=None)[0]
-    random = np.random.default_rng(1)
-    best = np.zeros(3)
-    for root, freedom in zip(found.roots, (NOISE_FREEDOM, len(found.residuals) - 1), strict=False):
-        wide = np.sqrt(freedom / random.chisquare(freedom, (DRAWS, 1)))  # Student's t
-        drawn = wide * random.normal(size=(DRAWS, len(root))) @ root + found.shift
-        away = np.hypot(*np.moveaxis((drawn @ slopes.T).reshape(DRAWS, -1, 2), -1, 0)).max(1)
-        best = np.maximum(best, np.percentile(away, (50, 2.5, 97.5)))
-    return float(best[0]), float(best[1]), float(best[2])
+    freedoms = NOISE_FREEDOM, len(found.residuals) - 1
+
+    def largest(roots, shift):
+        """Return median and 95 % interval, from the roots that give more."""
+        random = np.random.default_rng(1)
+        best = np.zeros(3)
+        for root, freedom in zip(roots, freedoms, strict=False):
+            wide = np.sqrt(freedom / random.chisquare(freedom, (DRAWS, 1)))  # Student's t
+            drawn = wide * random.normal(size=(DRAWS, len(root))) @ root + shift
+            away = np.hypot(*np.moveaxis((drawn @ slopes.T).reshape(DRAWS, -1, 2), -1, 0)).max(1)
+            best = np.maximum(best, np.percentile(away, (50, 2.5, 97.5)))
+        return best
+
+    value, low, high = largest(found.own_roots, 0.0)
+    return float(value), float(low), float(max(high, largest(found.roots, found.shift)[2]))
 
 
 def calibrate(boards: Sequence[Board], size: tuple[int, int], focal: float) -> Geometry:
@@ -110,7 +120,7 @@ def calibrate(boards: Sequence[Board], size: tuple[int, int], focal: float) -> G
     """
     found = _solve(boards, size, focal, True)
     clear = np.sqrt(np.log(sum(2 * len(one.places) for one in boards))) / 1.96
-    if abs(found.coefficients[4]) > clear * found.errors[4]:
+    if abs(found.coefficients[4]) > clear * found.errors[8]:
         return found
     plain = _solve(boards, size, focal, False)
     shift = found.inner - plain.inner
@@ -146,7 +156,7 @@ def _solve(boards, size, focal, has_k3):
         for board, pose in zip(boards, poses, strict=True)
     ]
     reach, roots = _errors(parts, total, has_focal)
-    return Geometry(matrix, inner[4:], reach, roots, np.zeros(9), left, has_focal)
+    return Geometry(matrix, inner[4:], reach, roots, roots, np.zeros(9), left, has_focal)
 
 
 def _start(boards, size, focal, has_focal):

@@ -170,6 +170,29 @@ def channel_blocks(
     return np.stack(means), block
 
 
+def block_places(frame: RawFrame, letter: str, block: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the middles of a channel's pixels in blocks.
+
+    They are up to half a pixel off the blocks' own middles if the mosaic has the channel on one side of its period.
+
+    Args:
+        frame: The frame.
+        letter: The channel.
+        block: Size of a block (rows, cols) [pixel], see `channel_blocks`.
+
+    Returns:
+        Rows and columns of the middles [pixel].
+    """
+    period = np.array([list(row) for row in frame.cfa])
+    aside = np.mean(np.nonzero(period == letter), axis=1) - (np.array(period.shape) - 1) / 2
+    counts = np.array(frame.values.shape) // block
+    rows, cols = (
+        (np.arange(count) + 0.5) * size - 0.5 + off
+        for count, size, off in zip(counts, block, aside, strict=True)
+    )
+    return rows, cols
+
+
 def field_place(row: Any, col: Any, shape: tuple[int, int]) -> tuple[Any, Any]:
     """Return the field point (y, x) of a pixel; 1 is the frame's corner."""
     corner = np.hypot(*shape) / 2

@@ -1,17 +1,16 @@
 """Fall-off of the light over the frame, from even light through the lens."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.polynomial import chebyshev
 from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData
-from gpusim.domain.short_repr import short_repr
 from gpusim.fit.estimate import Estimate, Part, Plot
+from gpusim.fit.falloff import Falloff, fit_falloff, frame_corners
 from gpusim.fit.planes import (
+    block_places,
     channel_blocks,
     checked_frames,
     clipped_mask,
@@ -22,74 +21,13 @@ from gpusim.fit.planes import (
 from gpusim.io.raw.raw_frame import RawFrame
 
 BLOCKS = 64  # blocks on the longer side of the frame
-# models that are tried: order of a polynomial in rows and columns, and the last even power of the field height. Of the
-# first ones the powers stand for themselves, of the second ones all are multiplied by the polynomial: a round fall-off
-# off the middle, tilted
-SUMS = ((1, 4), (2, 4), (2, 6), (2, 8), (4, 6), (4, 8), (4, 10), (6, 8), (6, 10), (8, 10), (10, 10))
-PRODUCTS = ((1, 4), (1, 6), (1, 8), (2, 4), (2, 6), (2, 8), (2, 10))
-MODELS = tuple((*one, False) for one in SUMS) + tuple((*one, True) for one in PRODUCTS)
-WIDE = (4, 8, False)  # the model that finds blocks with dust
-TAIL = 4.0  # robust standard deviations of a block that is left out: dust, a hot pixel
 ROUND = 0.0015  # most by which a round fall-off may miss the map, or twice the map's own error
 COLOURED = 0.005  # difference of channels that is worth a line
 HEIGHTS = np.linspace(0, 1, 21)
-FLOOR = 8e-4  # relative error of the models themselves in the corners
+FLOOR = 4e-4  # relative error of the models themselves in the corners
+MISSED = 0.002  # by which parts of the frame may miss the surface
 NODES = 33  # of a map over the longer side
 MOST_CLIPPED = 1e-3
-
-
-@dataclass(frozen=True, eq=False)
-class Falloff:
-    """Response of a channel to even light over the frame.
-
-    Args:
-        order: Order of the polynomial in rows and columns.
-        power: Last even power of the field height.
-        is_product: Whether powers are multiplied by the polynomial.
-        coefficients: Of the model's functions, shape (n,).
-        error: Relative standard error in the four corners, see `_corners`.
-        left: Relative residuals of blocks, (rows, cols); NaN: left out.
-    """
-
-    order: int
-    power: int
-    is_product: bool
-    coefficients: np.ndarray
-    error: np.ndarray
-    left: np.ndarray
-
-    __repr__ = short_repr
-
-    def at(self, rows: np.ndarray, cols: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
-        """Return the response at rows and columns [pixel] that broadcast, 1 in the frame's middle."""
-        y, x = np.broadcast_arrays(*(np.asarray(at, np.float64) for at in (rows, cols)))
-        here = (
-            _basis(y.ravel(), x.ravel(), shape, self.order, self.power, self.is_product)
-            @ self.coefficients
-        )
-        row, col = _middle(shape)
-        middle = (
-            _basis(row, col, shape, self.order, self.power, self.is_product) @ self.coefficients
-        )
-        return np.asarray(here / middle).reshape(y.shape)
-
-
-def _middle(shape):
-    return tuple(np.array([(n - 1) / 2]) for n in shape)
-
-
-def _basis(rows, cols, shape, order, power, is_product):
-    """Return the functions of a model at pixels, (N, n)."""
-    y, x = (2 * (at + 0.5) / n - 1 for at, n in zip((rows, cols), shape, strict=True))
-    table = chebyshev.chebvander2d(y, x, [order, order]).reshape(len(y), order + 1, order + 1)
-    parts = [table[:, i, j] for i in range(order + 1) for j in range(order + 1 - i)]
-    square = np.asarray(np.hypot(*field_place(rows, cols, shape))) ** 2
-    if is_product:
-        return np.stack(
-            [part * square ** (k // 2) for part in parts for k in range(0, power + 1, 2)], axis=1
-        )
-    parts += [square ** (k // 2) for k in range(order // 2 * 2 + 2, power + 1, 2)]
-    return np.stack(parts, axis=1)
 
 
 def measure_shading(
@@ -126,76 +64,27 @@ def measure_shading(
     if not total.mean(axis=(1, 2)).min() > 0:
         raise BadData(f"{name}: a channel is dark; give the flat more light")
     return {
-        letter: _surface(plane, block, shape, name)
+        letter: _surface(plane, block_places(every[0], letter, block), shape, name)
         for letter, plane in zip(every[0].channels, total, strict=True)
     }
 
 
-def _surface(plane, block, shape, name):
+def _surface(plane, places, shape, name):
     """Return the smooth surface of one channel's blocks."""
-    rows = (np.arange(plane.shape[0]) + 0.5) * block[0] - 0.5
-    cols = (np.arange(plane.shape[1]) + 0.5) * block[1] - 0.5
-    y, x = (axis.ravel() for axis in np.meshgrid(rows, cols, indexing="ij"))
-    seen = plane.ravel() / np.median(plane)
-    corners = [
-        np.array(at, float) for at in zip(*(place[:2] for place in _corners(shape)), strict=True)
-    ]
-    fits = []
-    kept = _smooth_blocks(y, x, seen, shape)
-    for order, power, is_product in MODELS:
-        matrix = _basis(y, x, shape, order, power, is_product)
-        if 2 * matrix.shape[1] > kept.sum():
-            continue
-        found = np.linalg.lstsq(matrix[kept], seen[kept], rcond=None)[0]
-        left = seen - matrix @ found
-        count, size = kept.sum(), matrix.shape[1]
-        squares = float((left[kept] ** 2).sum())
-        score = count * np.log(squares / count + 1e-30) + 2 * size
-        ends = _basis(*corners, shape, order, power, is_product)
-        inner = np.linalg.pinv(matrix[kept].T @ matrix[kept])
-        variance = squares / max(count - size, 1) * np.einsum("ij,jk,ik->i", ends, inner, ends)
-        fits.append(
-            (
-                score,
-                (order, power, is_product),
-                found,
-                np.where(kept, left, np.nan),
-                ends @ found,
-                variance,
-            )
-        )
-    if not fits:
+    found = fit_falloff(plane, *places, shape)
+    if found is None:
         raise BadData(
             f"{name}: {plane.shape[1]} x {plane.shape[0]} blocks, too few; use a larger frame"
         )
-    fits.sort(key=lambda one: one[0])
-    score, model, found, left, ends, variance = fits[0]
-    if not (ends > 0.02).all():
+    rows, cols, _ = zip(*frame_corners(shape), strict=True)
+    if not (found.at(np.array(rows), np.array(cols), shape) > 0.02).all():
         raise BadData(f"{name}: no even light, a corner is dark; shoot a flat that fills the frame")
-    if np.nanstd(left) > 0.05:
+    if (spread := np.nanstd(found.left)) > 0.05:
         raise BadData(
-            f"{name}: no even light, blocks differ by {100 * np.nanstd(left):.2g} % from a smooth surface; shoot "
-            "a white "
-            "wall out of focus or a diffuser"
+            f"{name}: no even light, blocks differ by {100 * spread:.2g} % from a smooth surface; shoot a white wall "
+            "out of focus or a diffuser"
         )
-    # models that explain the blocks nearly as well differ in the corners
-    weights = np.exp([-(one[0] - score) / 2 for one in fits])
-    apart = np.array([(one[4] - ends) ** 2 for one in fits])
-    error = np.sqrt(variance + (weights @ apart) / weights.sum()) / ends
-    return Falloff(*model, found, error, left.reshape(plane.shape))
-
-
-def _smooth_blocks(y, x, seen, shape):
-    """Return the blocks that a smooth surface explains: no dust, no hot pixels."""
-    kept = np.ones(len(seen), bool)
-    matrix = _basis(y, x, shape, *WIDE)
-    for _ in range(4):
-        if kept.sum() < 2 * matrix.shape[1]:
-            return np.ones(len(seen), bool)
-        left = seen - matrix @ np.linalg.lstsq(matrix[kept], seen[kept], rcond=None)[0]
-        spread = 1.4826 * np.median(np.abs(left[kept])) + 1e-12
-        kept = np.abs(left) < TAIL * spread
-    return kept
+    return found
 
 
 def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | None = None) -> Part:
@@ -219,7 +108,7 @@ def fit_shading(frames: RawFrame | Sequence[RawFrame], *, black: ArrayLike | Non
     settings = _settings(found[main], shape)
     estimates = {}
     for letter, own in found.items():
-        for (row, col, words), error in zip(_corners(shape), own.error, strict=True):
+        for (row, col, words), error in zip(frame_corners(shape), own.error, strict=True):
             value = float(own.at(row, col, shape))
             reach = 1.96 * value * np.hypot(error, FLOOR)
             key = f"relative illumination of {letter} at the {words} corner"
@@ -247,16 +136,6 @@ def falloff_map(found: Falloff, shape: tuple[int, int]) -> np.ndarray:
     coarse = found.at(nodes[0][:, None], nodes[1][None, :], shape)
     spline = scipy.interpolate.RectBivariateSpline(*nodes, coarse)
     return np.asarray(spline(np.arange(shape[0]), np.arange(shape[1])))
-
-
-def _corners(shape):
-    bottom, right = shape[0] - 1, shape[1] - 1
-    return (
-        (0, 0, "upper left"),
-        (0, right, "upper right"),
-        (bottom, 0, "lower left"),
-        (bottom, right, "lower right"),
-    )
 
 
 def _settings(own: Falloff, shape):
@@ -296,6 +175,11 @@ def _describe_misfit(found, shape, main):
                 f"shading of {letter}: up to {100 * most:.2g} % from that of {main}, whose map all channels have in "
                 "the "
                 "camera file"
+            )
+        if own.miss > MISSED:
+            lines.append(
+                f"shading of {letter}: part of the frame misses the surface by {100 * own.miss:.2g} % on average, "
+                "and single places by more (a kink in the fall-off, shadows, texture)"
             )
         lost = float(np.mean(np.isnan(own.left)))
         if lost > 0.01:

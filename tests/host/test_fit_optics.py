@@ -13,10 +13,13 @@ from gpusim.data.lights import light_of
 from gpusim.data.reflectances import reflectances
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.domain.spectrum import photons_from_energy
-from gpusim.fit.board import find_board
+from gpusim.fit.board import Board, find_board
+from gpusim.fit.bundle import calibrate, displacement_error
 from gpusim.fit.color import fit_color
 from gpusim.fit.curve_prior import NODES, curve_prior
 from gpusim.fit.distortion import fit_distortion
+from gpusim.fit.falloff import fit_falloff
+from gpusim.fit.planes import block_places
 from gpusim.fit.sensitivity import fit_sensitivity
 from gpusim.fit.shading import fit_shading
 from gpusim.fit.sharpness import fit_sharpness
@@ -93,6 +96,41 @@ def test_flats_give_their_falloff():
     assert curve["values"][-1] == pytest.approx(truth[0, 0], rel=0.01)
 
 
+def test_corners_of_a_falloff_off_the_middle_are_used():
+    """Far corners fall steepest; blocks there are no dust. A channel's pixels are off the middle of its blocks."""
+    shape = 480, 640
+    cfa = ("GRB", "BGR")
+    frame = grey(np.zeros(shape), cfa)
+
+    def truth(row, col):
+        y, x = (row - 255) / 400, (col - 300) / 400
+        return (1 + 0.5 * (x * x + y * y)) ** -2 * (1 + 1e-4 * (col - 320))
+
+    rows, cols = block_places(frame, "G", np.array([8, 9]))
+    assert rows[0] == 3.5  # rows 0 to 7
+    assert cols[0] == 3.5  # columns 0 and 1, 3 and 4, 6 and 7 of 9
+    found = fit_falloff(truth(rows[:, None], cols), rows, cols, shape)
+    assert np.isfinite(found.left).all()
+    row, col = np.array([[0], [479]]), np.array([0, 639])
+    assert found.at(row, col, shape) == pytest.approx(
+        truth(row, col) / truth(239.5, 319.5), rel=5e-4
+    )
+
+
+def test_dust_is_left_out():
+    rng = np.random.default_rng(8)
+    rows, cols = np.arange(0, 400, 10.0), np.arange(0, 600, 10.0)
+    plane = 1 - 0.3 * (np.hypot(rows[:, None] - 200, cols - 300) / 360) ** 2
+    dusty = plane * rng.normal(1, 1e-3, plane.shape)
+    dusty[10:12, 20:23] *= 0.9
+    found = fit_falloff(dusty, rows, cols, (400, 600))
+    assert np.isnan(found.left[10:12, 20:23]).all()
+    assert np.isnan(found.left).mean() < 0.01
+    assert found.at(105.0, 215.0, (400, 600)) == pytest.approx(
+        1 - 0.3 * (np.hypot(95, 85) / 360) ** 2, rel=1e-3
+    )
+
+
 def test_flats_that_are_none():
     rng = np.random.default_rng(4)
     with pytest.raises(BadData, match="clipped"):
@@ -124,6 +162,25 @@ def test_boards_give_their_corners(turn):
     assert len(found.corners) == len(truth)
     away = np.hypot(*(found.corners[:, None] - truth).T)
     assert away.min(axis=0).max() < 0.03
+
+
+@pytest.mark.parametrize("k3", [0.0, 0.5])
+def test_k3_is_used_if_it_is_there(k3):
+    rng = np.random.default_rng(9)
+    size, focal, places = (640, 480), 600.0, np.indices((12, 8)).reshape(2, -1).T.astype(float)
+    truth = np.array([-0.1, 0.02, 1e-4, -2e-4, k3])
+    views = []
+    for k in range(6):
+        turn = boards.rotation(*rng.uniform(-0.5, 0.5, 2), 0.2)
+        shift = np.array([(-1) ** k * 2.5, (-1) ** (k // 2) * 1.5, 14]) - turn @ [5.5, 3.5, 0]
+        at = np.column_stack([places, 0 * places[:, 0]]) @ turn.T + shift
+        corners = np.column_stack(boards.distort(*(at[:, :2].T / at[:, 2]), truth)) * focal
+        corners += np.array([322, 238]) + rng.normal(0, 0.01, corners.shape)
+        views.append(Board(f"{k}", places, corners, {}))
+    found = calibrate(views, size, 700.0)
+    assert found.coefficients[4] == pytest.approx(k3, abs=0.1 * k3 + 1e-6)
+    value, low, high = displacement_error(found, size)
+    assert low < value < high
 
 
 def test_frames_are_checked():

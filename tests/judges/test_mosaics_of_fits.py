@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from test_optics_of_fits import judge_color, judge_distortion, judge_sharpness, report_color
+from test_distortion_of_fits import judge_distortion
+from test_optics_of_fits import judge_color, judge_shading, judge_sharpness, report_color
 
 X_TRANS = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
 QUAD = ("RRGG", "RRGG", "GGBB", "GGBB")
@@ -15,7 +16,7 @@ pytestmark = pytest.mark.slow
     ("seed", "cfa"), [(5001, X_TRANS), (5002, CYGM), (5003, QUAD), (5004, RCCB), (5005, MONO)]
 )
 def test_distortion_of_mosaics(seed, cfa):
-    apart, _, lateral = judge_distortion(seed, cfa)
+    apart, _, lateral, _ = judge_distortion(seed, cfa)
     assert apart.max() < 0.2
     assert lateral.max(initial=0) < 0.2
 
@@ -35,3 +36,13 @@ def test_sharpness_of_mosaics(seed, cfa):
     errors, hits, _ = judge_sharpness(seed, cfa=cfa)
     assert np.percentile(np.abs(errors), 95) < 0.02
     assert hits.mean() > 0.9
+
+
+@pytest.mark.parametrize("cfa", [X_TRANS, QUAD, RCCB, RYYB, CYGM, MONO])
+def test_shading_of_mosaics(cfa):
+    found = [judge_shading(seed, cfa) for seed in range(7100, 7106)]
+    most = np.array([one[0] for one in found])
+    hits = np.concatenate([one[1] for one in found])
+    print(f"shading, {cfa}: {np.round(100 * most, 2)} %, intervals hold {hits.mean():.3f}")
+    assert most.max() < 0.005
+    assert hits.mean() > 0.93

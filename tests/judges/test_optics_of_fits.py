@@ -1,24 +1,22 @@
 """Fits of optics and colour judged with random cameras in plain NumPy, which share no code with the fit.
 
-Seeds below HELD_OUT were seen while the fit was written; the rest were run once, at the end. Sharpness,
-colour, distortion and shading have other seeds, as the first held-out ones showed faults that were mended.
+Seeds below HELD_OUT were seen while the fit was written; the rest were run once, at the end. Sharpness, colour and
+shading have other seeds, as the first held-out ones showed faults that were mended. Distortion:
+test_distortion_of_fits.py.
 """
 
 from dataclasses import replace
 
-import board_targets as boards
 import chart_targets as charts
 import edge_targets as edges
 import flat_targets as flats
 import numpy as np
 import pytest
 from scipy.interpolate import PchipInterpolator, RegularGridInterpolator
-from scipy.optimize import least_squares
 
 import gpusim as gs
 from gpusim.domain.sensor import FLOAT_BITS
 from gpusim.fit.color import fit_color
-from gpusim.fit.distortion import fit_distortion
 from gpusim.fit.shading import fit_shading
 from gpusim.fit.sharpness import fit_sharpness
 from gpusim.fit.tone import fit_tone
@@ -28,9 +26,8 @@ HELD_OUT, CAMERAS = 1000, 20
 SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
 SHARPNESS_SEEDS = range(8000, 8020)
 TURNED_SEEDS = range(8020, 8026)
-DISTORTION_SEEDS = (*range(5001, 5007), *range(5008, 5014))
 COLOR_SEEDS = range(9200, 9220)
-SHADING_SEEDS = range(6020, 6040)
+SHADING_SEEDS = range(7000, 7020)
 BLACK = np.array([[64.0]])
 MAIN = "GYWCRBM"  # channels, the one of most light first
 WAVES = {"R": 605, "G": 535, "B": 460, "Y": 560, "C": 500, "M": 550, "W": 560}  # [nm] of channels
@@ -203,91 +200,6 @@ def test_a_camera_file_gives_edges_of_the_same_mtf50(tmp_path):
         assert seen == pytest.approx(truth, rel=0.02)
 
 
-def judge_distortion(seed, cfa=("RG", "GB")):
-    """Displacement over the frame [pixel] after the best rotation, hits of intervals, errors of lateral colour."""
-    rng = np.random.default_rng(seed)
-    cols, rows = 640, 480
-    focal = rng.uniform(0.8, 1.6) * cols
-    matrix = (
-        focal,
-        focal * rng.uniform(0.998, 1.002),
-        (cols - 1) / 2 + rng.normal(0, 8),
-        (rows - 1) / 2 + rng.normal(0, 8),
-    )
-    edge = (np.hypot(cols, rows) / 2 / focal) ** 2
-    truth = np.array(
-        [
-            rng.uniform(-0.08, 0.06) / edge,
-            rng.uniform(-0.015, 0.015) / edge**2,
-            *rng.normal(0, 4e-4, 2),
-            0,
-        ]
-    )
-    main, *others = [letter for letter in MAIN if letter in "".join(cfa)]
-    excess = dict(zip(others, rng.normal(0, 8e-4, len(others)), strict=True)) | {main: 0.0}
-    frames = [
-        board_frame(rng, (cols, rows), matrix, truth, excess, cfa, f"grid_{k}.dng")
-        for k in range(10)
-    ]
-    part = fit_distortion(frames)
-    found = part.settings["optics"]["calibration"]
-    own = [found[name] for name in ("k1", "k2", "p1", "p2", "k3")]
-    x, y = np.meshgrid(np.linspace(0, cols - 1, 33), np.linspace(0, rows - 1, 25))
-    u, v = boards.undistort((x - matrix[2]) / matrix[0], (y - matrix[3]) / matrix[1], truth)
-    rays = np.stack([u.ravel(), v.ravel(), np.ones(u.size)])
-
-    def miss(turn):
-        a, b, c = boards.rotation(*turn) @ rays
-        p, q = boards.distort(a / c, b / c, own)
-        return np.concatenate(
-            [
-                found["fx"] * p + found["cx"] - x.ravel(),
-                found["fy"] * q + found["cy"] - y.ravel(),
-            ]
-        )
-
-    best = least_squares(miss, np.zeros(3), x_scale=1e-3)
-    apart = np.hypot(*best.fun.reshape(2, -1))
-    hits, lateral = [], []
-    for name, value in zip(("fx", "fy", "cx", "cy"), matrix, strict=True):
-        one = part.estimates[f"optics.calibration.{name}"]
-        hits.append(one.low <= value <= one.high)
-    for letter in others:
-        one = part.estimates[f"optics.lateral_color of {letter}"]
-        hits.append(one.low <= excess[letter] <= one.high)
-        lateral.append(abs(one.value - excess[letter]) * np.hypot(cols, rows) / 2)
-    return apart, np.array(hits), np.array(lateral)
-
-
-def board_frame(rng, size, matrix, truth, excess, cfa, name):
-    """A frame of a board: each channel's own view, noise."""
-    state, planes = rng.bit_generator.state, {}
-    for letter in excess:
-        rng.bit_generator.state = state
-        planes[letter] = boards.random_view(
-            rng, size, matrix, truth, (13, 9), excess=excess[letter], fine=2
-        )
-    raw = flats.through_mosaic(planes, cfa)
-    seen = rng.poisson(raw * 6000) * 0.5 + rng.normal(0, 2, raw.shape) + 64
-    return RawFrame(np.rint(seen), cfa, name, black_level=BLACK, white_level=4095)
-
-
-def test_distortion_of_random_lenses():
-    found = [judge_distortion(seed) for seed in DISTORTION_SEEDS]
-    most = np.array([one[0].max() for one in found])
-    rms = np.array([np.sqrt(np.mean(one[0] ** 2)) for one in found])
-    lateral = np.concatenate([one[2] for one in found])
-    print(
-        f"distortion: largest displacement in the frame {np.median(most):.3f} (median), {most.max():.3f} "
-        "pixel (max), RMS "
-        f"up to {rms.max():.3f}; lateral colour at the corner {lateral.max():.3f} pixel; intervals hold "
-        f"{share([one[1] for one in found]):.3f}"
-    )
-    assert most.max() < 0.2
-    assert share([one[1] for one in found]) > 0.93
-    assert lateral.max() < 0.2
-
-
 def judge_shading(seed, cfa=None):
     """Largest relative error of the camera file's fall-off, and hits of the corners' intervals."""
     is_plain = cfa is None
@@ -329,8 +241,7 @@ def test_shading_of_random_lenses():
         f"shading: largest error in the frame {100 * np.median(most):.2f} % (median), {100 * most.max():.2f} % (max); "
         f"intervals hold {share([one[1] for one in found]):.3f}"
     )
-    assert np.percentile(most, 95) < 0.005
-    assert most.max() < 0.01
+    assert most.max() < 0.005
     assert share([one[1] for one in found]) > 0.93
 
 
