@@ -30,6 +30,35 @@ RIDGE = (
 FASTEST = 6.0  # [cycle/pixel] the pixel's own transfer leaves 1e-3 beyond
 
 
+@dataclass(frozen=True)
+class EdgeLine:
+    """The line of an edge, which may bend.
+
+    Args:
+        row, col: A point near its middle [pixel].
+        angle: Of the normal to the lighter side, from the columns' axis x towards rows [rad].
+        shift: Of the line from the point along the normal [pixel].
+        bend: Distance of the middle from the ends' chord, 1 at half the length [pixel].
+        half: Half of the length [pixel].
+    """
+
+    row: float
+    col: float
+    angle: float
+    shift: float
+    bend: float
+    half: float
+
+    __repr__ = short_repr
+
+    def place(self, rows: np.ndarray, cols: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances of pixels along the normal and along the edge [pixel]."""
+        x, y = cols - self.col, rows - self.row
+        d = x * np.cos(self.angle) + y * np.sin(self.angle)
+        t = y * np.cos(self.angle) - x * np.sin(self.angle)
+        return d - self.shift - self.bend * ((t / self.half) ** 2 - 1 / 3), t
+
+
 @dataclass(frozen=True, eq=False)
 class EdgeSamples:
     """Pixels of one channel around an edge.
@@ -38,15 +67,13 @@ class EdgeSamples:
         distance: From the edge along its normal [pixel], shape (N,).
         values: Evened values, shape (N,).
         block: Number of the part of the edge's length, shape (N,).
-        angle: Of the normal [rad].
-        levels: Dark and light value.
+        line: The edge's line.
     """
 
     distance: np.ndarray
     values: np.ndarray
     block: np.ndarray
-    angle: float
-    levels: tuple[float, float]
+    line: EdgeLine
 
     __repr__ = short_repr
 
@@ -92,29 +119,25 @@ def read_edge(values: np.ndarray, mask: np.ndarray, edge: FoundEdge) -> EdgeSamp
     """
     rows, cols, _ = _cut(mask, edge)
     seen = values[rows, cols]
-    x, y = cols - edge.col, rows - edge.row
     if len(seen) < 200:
         raise BadData(f"{len(seen)} pixels of the channel around an edge, wanted 200 or more")
     chosen = np.linspace(0, len(seen) - 1, min(MOST, len(seen))).astype(int)
     half = edge.length / 2
 
-    def place(params, x, y):
-        angle, shift, bend = params[:3]
-        d = x * np.cos(angle) + y * np.sin(angle)
-        t = y * np.cos(angle) - x * np.sin(angle)
-        return d - shift - bend * ((t / half) ** 2 - 1 / 3), t
+    def line(params):
+        return EdgeLine(edge.row, edge.col, *map(float, params[:3]), half)
 
-    def model(params, x, y):
-        d, t = place(params, x, y)
+    def model(params, rows, cols):
+        d, t = line(params).place(rows, cols)
         step = 0.5 * scipy.special.erfc(-d / (np.sqrt(2) * np.exp(params[3])))
         return (params[4] + (params[5] - params[4]) * step) * (1 + params[6] * t / half)
 
-    d, _ = place((edge.angle, 0.0, 0.0), x, y)
+    d, _ = line((edge.angle, 0.0, 0.0)).place(rows, cols)
     dark, bright = np.median(seen[d < -edge.width / 3]), np.median(seen[d > edge.width / 3])
     scale = bright - dark
     start = np.array([edge.angle, 0.0, 0.0, 0.0, dark / scale, bright / scale, 0.0])
     found = scipy.optimize.least_squares(
-        lambda p: model(p, x[chosen], y[chosen]) - seen[chosen] / scale,
+        lambda p: model(p, rows[chosen], cols[chosen]) - seen[chosen] / scale,
         start,
         bounds=(
             start - np.array([0.2, 6, 6, 4, np.inf, np.inf, 1]),
@@ -124,10 +147,10 @@ def read_edge(values: np.ndarray, mask: np.ndarray, edge: FoundEdge) -> EdgeSamp
         loss="soft_l1",
         f_scale=0.1,
     ).x
-    d, t = place(found, x, y)
+    d, t = line(found).place(rows, cols)
     even = seen / (1 + found[6] * t / half)
     block = np.clip(((t / edge.length + 0.5) * BLOCKS).astype(int), 0, BLOCKS - 1)
-    return EdgeSamples(d, even / scale, block, float(found[0]), (float(found[4]), float(found[5])))
+    return EdgeSamples(d, even / scale, block, line(found))
 
 
 def _cut(mask, edge):
@@ -277,7 +300,7 @@ def fit_line(
     tables = []
     for edge in edges:
         place, sums, counts = edge.bin_values
-        tables.append((_edge_spreads(edge.angle, place, cutoff, aperture), sums, counts))
+        tables.append((_edge_spreads(edge.line.angle, place, cutoff, aperture), sums, counts))
     whole = _solve(tables, np.ones(BLOCKS, bool))
     parts = np.stack([_solve(tables, np.arange(BLOCKS) != left) for left in range(BLOCKS)])
     count = len(tables[0][0])
@@ -289,8 +312,8 @@ def fit_line(
         residual.append(np.stack([edge.bin_values[0], left]))
         noise.append(edge.noise**2 / weights.sum() ** 2 / n)
     together = np.concatenate(residual, axis=1)
-    is_across = abs(np.cos(edges[0].angle)) > np.sqrt(0.5)
-    turns = [(edge.angle + np.pi / 4) % (np.pi / 2) - np.pi / 4 for edge in edges]
+    is_across = abs(np.cos(edges[0].line.angle)) > np.sqrt(0.5)
+    turns = [(edge.line.angle + np.pi / 4) % (np.pi / 2) - np.pi / 4 for edge in edges]
     return LineSpread(
         cutoff,
         aperture[int(is_across)],
