@@ -14,6 +14,7 @@ import scipy
 
 from gpusim.domain.errors import BadData
 from gpusim.domain.short_repr import short_repr
+from gpusim.fit.edge_corners import Lean
 from gpusim.fit.edge_finding import FoundEdge
 
 BINS = 8  # per pixel along the normal
@@ -23,7 +24,8 @@ MOST = 20000  # pixels that determine an edge's line
 BLOCKS = 10  # along an edge, one left out at a time for intervals
 GAUSSIANS = np.append(0.0, np.geomspace(0.15, 10, 10))  # standard deviations [pixel]
 DISCS = np.geomspace(0.4, 14, 9)  # radii [pixel]
-FLOOR = 0.008  # relative error of MTF50 that the mixture itself makes, without noise
+FLOOR = 0.006  # relative error of MTF50 that the mixture itself makes, without noise
+BLOCKED = 0.85  # standard deviation over the jackknife's, which non-negative weights make too large
 RIDGE = (
     0.17  # weight of the weights' squares: noise must not make a mixture of sharp and wide spreads
 )
@@ -68,12 +70,14 @@ class EdgeSamples:
         values: Evened values, shape (N,).
         block: Number of the part of the edge's length, shape (N,).
         line: The edge's line.
+        levels: Dark and light value.
     """
 
     distance: np.ndarray
     values: np.ndarray
     block: np.ndarray
     line: EdgeLine
+    levels: tuple[float, float]
 
     __repr__ = short_repr
 
@@ -150,7 +154,7 @@ def read_edge(values: np.ndarray, mask: np.ndarray, edge: FoundEdge) -> EdgeSamp
     d, t = line(found).place(rows, cols)
     even = seen / (1 + found[6] * t / half)
     block = np.clip(((t / edge.length + 0.5) * BLOCKS).astype(int), 0, BLOCKS - 1)
-    return EdgeSamples(d, even / scale, block, line(found))
+    return EdgeSamples(d, even / scale, block, line(found), (float(found[4]), float(found[5])))
 
 
 def _cut(mask, edge):
@@ -270,7 +274,7 @@ class LineSpread:
         others = np.array([falls_to_half(f, weights @ table) for weights in self.resamples])
         count = len(others)
         error = np.sqrt((count - 1) / count * ((others - others.mean()) ** 2).sum())
-        reach = scipy.special.stdtrit(count - 1, 0.975) * np.hypot(error, FLOOR * value)
+        reach = 1.96 * np.hypot(BLOCKED * error, FLOOR * value)
         return value, max(value - reach, 0.0), value + reach
 
 
@@ -285,7 +289,10 @@ def falls_to_half(frequency: np.ndarray, response: np.ndarray) -> float:
 
 
 def fit_line(
-    edges: list[EdgeSamples], cutoff: float, aperture: tuple[float, float] = (1.0, 1.0)
+    edges: list[EdgeSamples],
+    cutoff: float,
+    aperture: tuple[float, float] = (1.0, 1.0),
+    main: LineSpread | None = None,
 ) -> LineSpread:
     """Fit the blur along one direction to the edges that show it.
 
@@ -293,6 +300,7 @@ def fit_line(
         edges: Their pixels; all normals near rows, or all near columns.
         cutoff: See `diffraction`.
         aperture: Height and width of the pixel's aperture over the pitch.
+        main: Blur of the channel of most light, which is likely to be near; None: not known.
 
     Returns:
         The blur.
@@ -301,8 +309,14 @@ def fit_line(
     for edge in edges:
         place, sums, counts = edge.bin_values
         tables.append((_edge_spreads(edge.line.angle, place, cutoff, aperture), sums, counts))
-    whole = _solve(tables, np.ones(BLOCKS, bool))
-    parts = np.stack([_solve(tables, np.arange(BLOCKS) != left) for left in range(BLOCKS)])
+    likely = np.zeros((BLOCKS + 1, len(tables[0][0])))
+    if main is not None:
+        step = np.mean([edge.levels[1] - edge.levels[0] for edge in edges])
+        likely = step * np.vstack([main.resamples, main.weights])
+    whole = _solve(tables, np.ones(BLOCKS, bool), likely[-1])
+    parts = np.stack(
+        [_solve(tables, np.arange(BLOCKS) != left, likely[left]) for left in range(BLOCKS)]
+    )
     count = len(tables[0][0])
     weights, own = whole[:count], parts[:, :count]
     residual, noise = [], []
@@ -327,8 +341,11 @@ def fit_line(
     )
 
 
-def _solve(tables, used):
-    """Return weights of the mixture, then the dark level of each edge. used: blocks, shape (BLOCKS,)."""
+def _solve(tables, used, likely):
+    """Return weights of the mixture, then the dark level of each edge.
+
+    used: blocks, shape (BLOCKS,). likely: weights that are taken if the pixels do not tell, shape (A,).
+    """
     rows, wanted = [], []
     for number, (table, sums, counts) in enumerate(tables):
         n = counts[used].sum(0)
@@ -339,7 +356,7 @@ def _solve(tables, used):
         wanted.append(np.divide(sums[used].sum(0), root, out=np.zeros(len(n)), where=n > 0))
     count, columns = len(tables[0][0]), rows[0].shape[1]
     rows.append(RIDGE * np.eye(count, columns))
-    wanted.append(np.zeros(count))
+    wanted.append(RIDGE * likely)
     # the same problem with as many rows as columns
     both = np.hstack([np.concatenate(rows), np.concatenate(wanted)[:, None]])
     triangle = np.linalg.qr(both, mode="r")
@@ -355,6 +372,7 @@ class Place:
         letter: The channel.
         across, down: Blur along rows and along columns; None: no edge shows it.
         sources: Names of the files.
+        lean: Of the blur between rows and columns; None: no corners of squares show it.
     """
 
     row: float
@@ -363,5 +381,6 @@ class Place:
     across: LineSpread | None
     down: LineSpread | None
     sources: tuple[str, ...] = ()
+    lean: Lean | None = None
 
     __repr__ = short_repr

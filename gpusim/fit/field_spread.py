@@ -32,7 +32,7 @@ def spread_over_field(
     shape: tuple[int, int],
     pitch: float,
     f_number: float,
-    lateral_color: dict[str, float],
+    lateral_color: dict[str, tuple[float, float]],
 ) -> PointSpread:
     """Return point spreads on a grid over the frame.
 
@@ -59,7 +59,7 @@ def spread_over_field(
         own = [place for place in places if place.letter == letter]
         cutoff = WAVELENGTHS.get(letter, 550.0) * 1e-9 * f_number / pitch
         weights = [point_weights(place, cutoff) for place in own]
-        excess = lateral_color.get(letter, 0.0)
+        excess = lateral_color.get(letter, (0.0, 0.0))
         tables.append(_sample_spreads(own, weights, cutoff, fine, nodes, shape, excess))
     values = _trim(np.stack(tables, axis=-3), fine)
     waves = [WAVELENGTHS.get(letter, 550.0) for letter in letters]
@@ -171,10 +171,9 @@ def _sample_spreads(places, weights, cutoff, fine, nodes, shape, excess):
         for j, col in enumerate(cols):
             mixed = _shares(spots, row, col) @ np.array(weights)[:, used]
             otf = np.tensordot(mixed, atoms, 1)
-            down, across = (
-                excess * (at - (n - 1) / 2) if nodes is not None else 0.0
-                for at, n in zip((row, col), shape, strict=True)
-            )
+            away = np.array([row, col]) - (np.array(shape) - 1) / 2 if nodes is not None else np.zeros(2)
+            height = np.hypot(*away) / (np.hypot(*shape) / 2)
+            down, across = (excess[0] + excess[1] * height**2) * away
             otf = otf * np.exp(-2j * np.pi * (fy[:, None] * down + fx[None, :] * across))
             spread = np.fft.fftshift(np.fft.irfft2(otf, (size, size)))
             middle = size // 2

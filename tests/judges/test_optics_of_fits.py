@@ -29,6 +29,7 @@ SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
 SHARPNESS_SEEDS = range(8000, 8020)
 TURNED_SEEDS = range(8020, 8026)
 DISTORTION_SEEDS = (*range(5001, 5007), *range(5008, 5014))
+LATERAL_SEEDS = range(7001, 7007)
 SHADING_SEEDS = range(6020, 6040)
 BLACK = np.array([[64.0]])
 MAIN = "GYWCRBM"  # channels, the one of most light first
@@ -285,6 +286,51 @@ def test_distortion_of_random_lenses():
     assert most.max() < 0.2
     assert share([one[1] for one in found]) > 0.93
     assert lateral.max() < 0.2
+
+
+def judge_lateral_color(seed):
+    """Errors of the shifts of R and B against G over the frame [pixel], the shifts, and hits of intervals."""
+    rng = np.random.default_rng(seed)
+    cols, rows = 640, 480
+    focal, corner = rng.uniform(0.8, 1.6) * cols, np.hypot(cols, rows) / 2
+    matrix = focal, focal, (cols - 1) / 2 + rng.normal(0, 5), (rows - 1) / 2 + rng.normal(0, 5)
+    edge = (corner / focal) ** 2
+    truth = np.array([rng.uniform(-0.08, 0.06) / edge, 0, *rng.normal(0, 4e-4, 2), 0])
+    curves = {letter: tuple(rng.normal(0, (1e-3, 2e-3))) for letter in "RB"} | {"G": (0.0, 0.0)}
+    frames = [
+        board_frame(rng, (cols, rows), matrix, truth, curves, ("RG", "GB"), f"grid_{k}.dng")
+        for k in range(10)
+    ]
+    part = fit_distortion(frames)
+    own = part.settings["optics"]["calibration"]
+    x, y = np.meshgrid(np.linspace(0, cols - 1, 33), np.linspace(0, rows - 1, 25))
+
+    def shifts(middle, curve):
+        u, v = x - middle[0], y - middle[1]
+        return (curve[0] + curve[1] * (u * u + v * v) / corner**2) * np.stack([u, v])
+
+    errors, sizes, hits = [], [], []
+    for letter in "RB":
+        rows_ = [
+            part.estimates[f"lateral colour {words} of {letter}"]
+            for words in ("on the axis", "of a corner over the axis")
+        ]
+        wanted = shifts(matrix[2:], curves[letter])
+        seen = shifts((own["cx"], own["cy"]), [one.value for one in rows_])
+        errors.append(np.hypot(*(seen - wanted)).max())
+        sizes.append(np.hypot(*wanted).max())
+        hits += [one.low <= value <= one.high for one, value in zip(rows_, curves[letter], strict=True)]
+    return np.array(errors), np.array(sizes), np.array(hits)
+
+
+def test_lateral_colour_that_varies_over_the_field():
+    found = [judge_lateral_color(seed) for seed in LATERAL_SEEDS]
+    errors, sizes, hits = (np.concatenate(one) for one in zip(*found, strict=True))
+    print(
+        f"lateral colour of {sizes.min():.2f} to {sizes.max():.2f} pixel: largest error in the frame "
+        f"{np.median(errors):.3f} (median), {errors.max():.3f} pixel (max); intervals hold {hits.sum()} of {len(hits)}"
+    )
+    assert errors.max() < 0.2
 
 
 def judge_shading(seed, cfa=None):
