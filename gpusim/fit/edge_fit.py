@@ -26,9 +26,9 @@ GAUSSIANS = np.append(0.0, np.geomspace(0.15, 10, 10))  # standard deviations [p
 DISCS = np.geomspace(0.4, 14, 9)  # radii [pixel]
 FLOOR = 0.006  # relative error of MTF50 that the mixture itself makes, without noise
 BLOCKED = 0.85  # standard deviation over the jackknife's, which non-negative weights make too large
-RIDGE = (
-    0.17  # weight of the weights' squares: noise must not make a mixture of sharp and wide spreads
-)
+# weight of the weights' squares over a pixel's noise, which must not make a mixture of sharp and wide spreads
+RIDGE = 12.0
+LEAST_NOISE = 5e-4  # over the step
 FASTEST = 6.0  # [cycle/pixel] the pixel's own transfer leaves 1e-3 beyond
 
 
@@ -309,13 +309,14 @@ def fit_line(
     for edge in edges:
         place, sums, counts = edge.bin_values
         tables.append((_edge_spreads(edge.line.angle, place, cutoff, aperture), sums, counts))
+    ridge = RIDGE * max(LEAST_NOISE, float(np.mean([edge.noise for edge in edges])))
     likely = np.zeros((BLOCKS + 1, len(tables[0][0])))
     if main is not None:
         step = np.mean([edge.levels[1] - edge.levels[0] for edge in edges])
         likely = step * np.vstack([main.resamples, main.weights])
-    whole = _solve(tables, np.ones(BLOCKS, bool), likely[-1])
+    whole = _solve(tables, np.ones(BLOCKS, bool), likely[-1], ridge)
     parts = np.stack(
-        [_solve(tables, np.arange(BLOCKS) != left, likely[left]) for left in range(BLOCKS)]
+        [_solve(tables, np.arange(BLOCKS) != left, likely[left], ridge) for left in range(BLOCKS)]
     )
     count = len(tables[0][0])
     weights, own = whole[:count], parts[:, :count]
@@ -341,10 +342,11 @@ def fit_line(
     )
 
 
-def _solve(tables, used, likely):
+def _solve(tables, used, likely, ridge):
     """Return weights of the mixture, then the dark level of each edge.
 
     used: blocks, shape (BLOCKS,). likely: weights that are taken if the pixels do not tell, shape (A,).
+    ridge: weight of the differences from them.
     """
     rows, wanted = [], []
     for number, (table, sums, counts) in enumerate(tables):
@@ -355,8 +357,8 @@ def _solve(tables, used, likely):
         rows.append(np.hstack([table.T, dark]) * root[:, None])
         wanted.append(np.divide(sums[used].sum(0), root, out=np.zeros(len(n)), where=n > 0))
     count, columns = len(tables[0][0]), rows[0].shape[1]
-    rows.append(RIDGE * np.eye(count, columns))
-    wanted.append(RIDGE * likely)
+    rows.append(ridge * np.eye(count, columns))
+    wanted.append(ridge * likely)
     # the same problem with as many rows as columns
     both = np.hstack([np.concatenate(rows), np.concatenate(wanted)[:, None]])
     triangle = np.linalg.qr(both, mode="r")

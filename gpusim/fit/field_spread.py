@@ -23,6 +23,7 @@ SHORTEST_WAVE = 400e-9  # [m] that the samples of a point spread must determine
 LOST = 3e-3  # of the energy outside a point spread's array
 WINDOW = 32  # [pixel] on each side of a point spread at most
 NODES = 5  # of the grid over the longer side of the frame
+TOGETHER = 0.2  # of the nodes' distance within which targets stand in one row
 FIELD_ENDS = 300.0, 1100.0  # [nm] within which the outermost channels' spreads continue
 UNLIKE = 0.03  # relative difference of the channels' MTF50 from which each has its own spread
 
@@ -53,7 +54,7 @@ def spread_over_field(
     letters.sort(key=lambda letter: WAVELENGTHS.get(letter, 550.0))
     fine = int(np.ceil(2 * pitch / (SHORTEST_WAVE * f_number)))
     spots = list({(place.row, place.col) for place in places if place.letter == main})
-    nodes = _nodes(shape) if len(spots) > 1 or lateral_color else None
+    nodes = _nodes(shape, spots) if len(spots) > 1 or lateral_color else None
     tables = []
     for letter in letters:
         own = [place for place in places if place.letter == letter]
@@ -91,10 +92,22 @@ def _channels_differ(places, main):
     return False
 
 
-def _nodes(shape):
-    """Return rows and columns of the grid's nodes, evenly from edge to edge of the frame."""
+def _nodes(shape, spots):
+    """Return rows and columns of the grid's nodes, from edge to edge of the frame.
+
+    If targets stand in rows and columns, their places are nodes; otherwise nodes are even.
+    """
     step = max(shape) / (NODES - 1)
-    return [np.linspace(-0.5, n - 0.5, max(3, round(n / step) + 1)) for n in shape]
+    found = []
+    for n, at in zip(shape, np.transpose(spots), strict=True):
+        order = np.sort(at)
+        lines = np.split(order, np.flatnonzero(np.diff(order) > TOGETHER * step) + 1)
+        is_aligned = all(np.ptp(line) < TOGETHER * step for line in lines)
+        if is_aligned and 1 < len(lines) <= NODES:
+            found.append(np.array([-0.5, *(line.mean() for line in lines), n - 0.5]))
+        else:
+            found.append(np.linspace(-0.5, n - 0.5, max(3, round(n / step) + 1)))
+    return found
 
 
 def _pairs():
@@ -171,7 +184,8 @@ def _sample_spreads(places, weights, cutoff, fine, nodes, shape, excess):
         for j, col in enumerate(cols):
             mixed = _shares(spots, row, col) @ np.array(weights)[:, used]
             otf = np.tensordot(mixed, atoms, 1)
-            away = np.array([row, col]) - (np.array(shape) - 1) / 2 if nodes is not None else np.zeros(2)
+            away = np.array([row, col]) - (np.array(shape) - 1) / 2
+            away *= nodes is not None
             height = np.hypot(*away) / (np.hypot(*shape) / 2)
             down, across = (excess[0] + excess[1] * height**2) * away
             otf = otf * np.exp(-2j * np.pi * (fy[:, None] * down + fx[None, :] * across))

@@ -26,9 +26,11 @@ from gpusim.io.raw.raw_frame import RawFrame
 
 HELD_OUT, CAMERAS = 1000, 20
 SEEDS = range(HELD_OUT, HELD_OUT + CAMERAS)
-SHARPNESS_SEEDS = range(8000, 8020)
-TURNED_SEEDS = range(8020, 8026)
+SHARPNESS_SEEDS = range(8200, 8220)
+TURNED_SEEDS = range(8220, 8226)
+LEANING_SEEDS = range(8226, 8232)
 DISTORTION_SEEDS = (*range(5001, 5007), *range(5008, 5014))
+FIELD_SEED = 8310
 LATERAL_SEEDS = range(7001, 7007)
 SHADING_SEEDS = range(6020, 6040)
 BLACK = np.array([[64.0]])
@@ -43,7 +45,7 @@ def share(flags):
     return np.mean(np.concatenate([np.atleast_1d(one) for one in flags]))
 
 
-def edge_frames(seed, count=3, cfa=None, leans=False, is_turned=False):
+def edge_frames(seed, count=3, cfa=None, leans=False, is_turned=False, is_smooth=False):
     """Frames of 3 x 3 slanted squares, their OTFs by channel, pitch and f-number.
 
     Without a mosaic every third camera is a Bayer one, whose channels are alike; with one each has its own wavelength
@@ -51,6 +53,7 @@ def edge_frames(seed, count=3, cfa=None, leans=False, is_turned=False):
 
     leans: The lens also has astigmatism of 45 degrees.
     is_turned: Every second frame has its squares turned the other way.
+    is_smooth: Aberrations are linear over the field, otherwise each place has its own.
     """
     rng = np.random.default_rng(seed)
     number, pitch = rng.uniform(1.8, 5.6), rng.uniform(1.2e-6, 4e-6)
@@ -71,9 +74,10 @@ def edge_frames(seed, count=3, cfa=None, leans=False, is_turned=False):
     spreads = [0.25, 0.12, 0.08, 0.08, 0.12, 0.12][: 6 if leans else 5]
     pictures = [{letter: np.zeros((size, size)) for letter in letters} for _ in turns]
     otfs = {letter: [] for letter in letters}
+    slopes = rng.normal(0, np.outer([1, 0.3, 0.3], spreads)) if is_smooth else None
     for row in range(ACROSS):
         for col in range(ACROSS):
-            path = rng.normal(0, spreads)
+            path = rng.normal(0, spreads) if slopes is None else [1, row - 1, col - 1] @ slopes
             tile = np.s_[
                 row * edges.TILE : (row + 1) * edges.TILE, col * edges.TILE : (col + 1) * edges.TILE
             ]
@@ -163,13 +167,14 @@ def test_squares_turned_both_ways_cancel_leaning_astigmatism():
     assert hits.mean() >= 0.95
 
 
-def slanted_mtf50(values):
-    """MTF50 [cycle/pixel] along the normal of one edge through the middle, in bins of 1/8 pixel, without a window."""
-    down, across = (part.sum() for part in np.gradient(values))
-    angle = np.arctan2(down, across)
+def slanted_mtf50(values, angle, mask=True):
+    """MTF50 [cycle/pixel] along the normal of one edge through the middle, in bins of 1/8 pixel, without a window.
+
+    angle: of the normal from the columns' axis [rad]. mask: pixels of a channel.
+    """
     y, x = (np.indices(values.shape).T - (np.array(values.shape) - 1) / 2).T
     d = x * np.cos(angle) + y * np.sin(angle)
-    near = np.abs(d) < 24
+    near = (np.abs(d) < 24) & mask
     number = np.floor((d[near] + 24) * 8).astype(int)
     counts = np.bincount(number)
     light, at = (np.bincount(number, one[near]) / counts for one in (values, d))
@@ -181,26 +186,87 @@ def slanted_mtf50(values):
     return float(np.interp(0.5, [seen[k], seen[k - 1]], [f[k], f[k - 1]]))
 
 
-def test_a_camera_file_gives_edges_of_the_same_mtf50(tmp_path):
-    seed = 7
-    frames, otfs, pitch, number = edge_frames(seed)
-    own = np.s_[edges.TILE : 2 * edges.TILE, edges.TILE : 2 * edges.TILE]
-    paths = [tmp_path / frame.name.replace("dng", "npz") for frame in frames]
-    for path, frame in zip(paths, frames, strict=True):
-        np.savez(path, dn=frame.values[own].astype(np.uint16), black=64.0, cfa=np.array(["Y"]))
-    base = tmp_path / "base.toml"
-    base.write_text(f'base = "mono"\n[sensor]\npixel_pitch_um = {1e6 * pitch:.6f}\n')
-    gs.fit(edges=paths, base=base, options={"f_number": number}).write(tmp_path / "mine.toml")
-    camera = gs.open_camera(tmp_path / "mine.toml")
+def edge_normal(values):
+    """Angle of the normal of an edge [rad], from the mean slopes of the light."""
+    down, across = (part.sum() for part in np.gradient(values))
+    return np.arctan2(down, across)
+
+
+def simulated_edges(camera, size, samples, wavelengths=None):
+    """Noiseless raw values of edges of 4 and 86 degrees through the middle, by the simulator."""
     sensor = replace(camera.sensor, bits=FLOAT_BITS, noise=gs.Noise(photon="none"))
     camera = replace(camera, sensor=sensor)
-    for angle, is_across in ((4.0, True), (86.0, False)):
-        scene = gs.chart("slanted-edge", size=(96, 96), samples_per_pixel=8, angle_deg=angle)
+    for angle in (4.0, 86.0):
+        scene = gs.chart(
+            "slanted-edge",
+            size=(size, size),
+            samples_per_pixel=samples,
+            angle_deg=angle,
+            wavelengths=wavelengths,
+        )
         raw = gs.Simulator(camera, device="numpy").expose(scene).raw(seed=1)
-        seen = slanted_mtf50(np.asarray(raw, float).reshape(96, 96))
-        truth = edges.mtf50(otfs["Y"][ACROSS + 1], is_across)
+        yield angle, np.asarray(raw, float).reshape(size, size)
+
+
+def fitted_camera(folder, frames, pitch, number, base, own=np.s_[:, :]):
+    """Write frames, fit a camera file to them and open it. own: part of the frames."""
+    paths = [folder / frame.name.replace("dng", "npz") for frame in frames]
+    for path, frame in zip(paths, frames, strict=True):
+        np.savez(path, dn=frame.values[own].astype(np.uint16), black=64.0, cfa=np.array(frame.cfa))
+    (folder / "base.toml").write_text(base + f"pixel_pitch_um = {1e6 * pitch:.6f}\n")
+    gs.fit(edges=paths, base=folder / "base.toml", options={"f_number": number}).write(
+        folder / "mine.toml"
+    )
+    return gs.open_camera(folder / "mine.toml")
+
+
+def test_a_camera_file_gives_edges_of_the_same_mtf50(tmp_path):
+    frames, otfs, pitch, number = edge_frames(7)
+    own = np.s_[edges.TILE : 2 * edges.TILE, edges.TILE : 2 * edges.TILE]
+    camera = fitted_camera(tmp_path, frames, pitch, number, 'base = "mono"\n[sensor]\n', own)
+    for angle, values in simulated_edges(camera, 96, 8):
+        seen = slanted_mtf50(values, edge_normal(values))
+        truth = edges.mtf50(otfs["Y"][ACROSS + 1], angle < 45)
         print(f"simulated again at {angle:g} degrees: {seen:.4f}, truth {truth:.4f}")
         assert seen == pytest.approx(truth, rel=0.02)
+
+
+def test_a_camera_file_gives_channels_and_places_of_the_same_mtf50(tmp_path):
+    """Three places along each of two edges, all channels of a Bayer mosaic, each of one wavelength."""
+    cfa = ("RG", "GB")
+    frames, otfs, pitch, number = edge_frames(FIELD_SEED, cfa=cfa, is_smooth=True, count=6)
+    waves = [WAVES[letter] for letter in "BGR"]
+    curves = ", ".join(
+        f"{letter} = {[float(wave == WAVES[letter]) for wave in waves]}" for letter in "RGB"
+    )
+    base = (
+        f'base = "machine-vision"\n[sensor]\ncfa = ["RG", "GB"]\nir_cut = "none"\n'
+        f"qe = {{wavelengths_nm = {waves}, {curves}}}\n"
+    )
+    camera = fitted_camera(tmp_path, frames, pitch, number, base)
+    letters = np.tile(np.array([list(row) for row in cfa]), (ACROSS * edges.TILE // 2,) * 2)
+    errors = []
+    for angle, values in simulated_edges(camera, ACROSS * edges.TILE, 4, waves):
+        is_across = angle < 45
+        normal = np.sign(np.tan(edge_normal(values if is_across else values.T))) * np.radians(4)
+        raw, channels = (values, letters) if is_across else (values.T, letters.T)
+        for k in range(ACROSS):
+            part = window_around_edge(raw, int((k + 0.5) * edges.TILE))
+            for letter in "RGB":
+                seen = slanted_mtf50(raw[part], normal, channels[part] == letter)
+                place = k * ACROSS + 1 if is_across else ACROSS + k
+                truth = edges.mtf50(otfs[letter][place], is_across)
+                errors.append(seen / truth - 1)
+                print(f"{angle:g} degrees, place {k}, {letter}: {seen:.4f}, truth {truth:.4f}")
+    assert np.abs(errors).max() < 0.02
+
+
+def window_around_edge(raw, row):
+    """Rows around a row, and columns around the place where the edge crosses it."""
+    line = raw[row - 1 : row + 1].mean(0)
+    pairs = (line[1:] + line[:-1]) / 2  # all channels of a mosaic
+    col = np.argmin(np.abs(pairs - (pairs.min() + pairs.max()) / 2))
+    return np.s_[row - 28 : row + 28, col - 31 : col + 33]
 
 
 def judge_distortion(seed, cfa=("RG", "GB")):
