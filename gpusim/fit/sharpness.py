@@ -293,8 +293,8 @@ def _estimates(places):
 
 def _gaps(places, shape, pitch, number):
     lines = [
-        "blur between the directions of rows and columns, and its phase: edges of two directions do not show them; the "
-        "point spread is the roundest that fits, and symmetric"
+        "blur between the directions of rows and columns, and its phase: the point spread is the roundest that fits the "
+        "edges, and symmetric"
     ]
     if not number:
         lines.append(
@@ -309,6 +309,11 @@ def _gaps(places, shape, pitch, number):
             lines.append(
                 f"blur along {names[0]}: no edge shows it, that along {names[1]} is used; shoot squares"
             )
+    if any(_hides_lean(place) for place in places):
+        lines.append(
+            "astigmatism between rows and columns: edges are turned one way only and neighbouring corners are not seen; "
+            "shoot squares turned both ways, one way in half of the frames and the other way in the rest"
+        )
     farthest = max(np.hypot(*field_place(place.row, place.col, shape)) for place in places)
     if farthest < 0.8:
         lines.append(
@@ -316,6 +321,14 @@ def _gaps(places, shape, pitch, number):
             "over the whole field"
         )
     return tuple(lines)
+
+
+def _hides_lean(place: Place) -> bool:
+    """Return True if neither corners nor edges turned both ways show the blur between rows and columns."""
+    lines = place.across, place.down
+    if place.lean is not None or None in lines:
+        return False
+    return any(abs(line.turn) > 0.5 * line.tilt for line in lines if line)
 
 
 def _describe_misfit(places):

@@ -167,6 +167,17 @@ def test_squares_turned_both_ways_cancel_leaning_astigmatism():
     assert hits.mean() >= 0.95
 
 
+def test_corners_show_leaning_astigmatism_of_squares_turned_one_way():
+    found = [judge_sharpness(seed, leans=True) for seed in LEANING_SEEDS]
+    errors, hits, _ = (np.concatenate(one) for one in zip(*found, strict=True))
+    print(
+        f"MTF50, leaning, one turn: |error| 95 % {100 * np.percentile(np.abs(errors), 95):.2f} %, max "
+        f"{100 * np.abs(errors).max():.2f} %, intervals hold {hits.mean():.3f} of {len(hits)}"
+    )
+    assert np.percentile(np.abs(errors), 95) < 0.03
+    assert hits.mean() >= 0.9
+
+
 def slanted_mtf50(values, angle, mask=True):
     """MTF50 [cycle/pixel] along the normal of one edge through the middle, in bins of 1/8 pixel, without a window.
 
