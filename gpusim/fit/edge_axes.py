@@ -17,7 +17,9 @@ from gpusim.fit.edge_fit import Place
 SHARPEST = 0.25  # least 1 / MTF50^2 along an axis over that along the normal
 UNSEEN = 1.3  # standard deviation of leans that no corner shows, over the RMS difference along rows and columns
 LEAN_NOISE = 1.1  # standard deviation of a lean over the one that its corners' residuals tell
-LEAN_MODEL = 0.3  # error of a lean over the frame's, as frequencies of half transfer are no exact ellipses
+LEAN_MODEL = (
+    0.3  # error of a lean over the frame's, as frequencies of half transfer are no exact ellipses
+)
 
 Interval = tuple[float, float, float]
 
@@ -92,4 +94,3 @@ def _solve(place: Place, astigmatism: float):
     normal = np.linalg.inv(parts.T @ parts)
     squares = (normal @ (parts.T @ (np.array(wanted) * weights)))[:2]
     return np.maximum(squares, SHARPEST * seen), np.sqrt(np.diag(normal)[:2])
-

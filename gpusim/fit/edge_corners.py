@@ -87,7 +87,9 @@ def read_corner(
     middles = np.array([[edge.row, edge.col] for edge in edges])
     corner = np.linalg.solve(normals, np.sum(normals * middles, axis=1))
     ways = corner - middles
-    gaps = [float(np.hypot(*way)) / edge.length - 0.5 for way, edge in zip(ways, edges, strict=True)]
+    gaps = [
+        float(np.hypot(*way)) / edge.length - 0.5 for way, edge in zip(ways, edges, strict=True)
+    ]
     if not all(0 < gap < 0.3 for gap in gaps):
         return None
     # the side of each edge on which the other one lies: -1 dark, 1 light

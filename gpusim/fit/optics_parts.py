@@ -19,7 +19,6 @@ from gpusim.fit.tone import fit_tone, ramp_light
 from gpusim.io.raw.raw_frame import RawFrame
 
 
-
 def chart_part(shots: Sequence[Shot], known: Known) -> Part:
     """Return the colour of frames of a ColorChecker. Options: light (one for each frame), corners."""
     frames = _read(shots)

@@ -293,8 +293,8 @@ def _estimates(places):
 
 def _gaps(places, shape, pitch, number):
     lines = [
-        "blur between the directions of rows and columns, and its phase: the point spread is the roundest that fits the "
-        "edges, and symmetric"
+        "blur between the directions of rows and columns, and its phase: the point spread is the roundest that fits "
+        "the edges, and symmetric"
     ]
     if not number:
         lines.append(
@@ -311,8 +311,8 @@ def _gaps(places, shape, pitch, number):
             )
     if any(_hides_lean(place) for place in places):
         lines.append(
-            "astigmatism between rows and columns: edges are turned one way only and neighbouring corners are not seen; "
-            "shoot squares turned both ways, one way in half of the frames and the other way in the rest"
+            "astigmatism between rows and columns: edges are turned one way only and neighbouring corners are not "
+            "seen; shoot squares turned both ways, one way in half of the frames and the other way in the rest"
         )
     farthest = max(np.hypot(*field_place(place.row, place.col, shape)) for place in places)
     if farthest < 0.8:

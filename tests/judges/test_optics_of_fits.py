@@ -396,7 +396,9 @@ def judge_lateral_color(seed):
         seen = shifts((own["cx"], own["cy"]), [one.value for one in rows_])
         errors.append(np.hypot(*(seen - wanted)).max())
         sizes.append(np.hypot(*wanted).max())
-        hits += [one.low <= value <= one.high for one, value in zip(rows_, curves[letter], strict=True)]
+        hits += [
+            one.low <= value <= one.high for one, value in zip(rows_, curves[letter], strict=True)
+        ]
     return np.array(errors), np.array(sizes), np.array(hits)
 
 
