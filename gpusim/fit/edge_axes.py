@@ -21,6 +21,8 @@ LEAN_MODEL = (
     0.3  # error of a lean over the frame's, as frequencies of half transfer are no exact ellipses
 )
 
+NO_LEAN = 1e-4  # half width of a lean's interval that is taken as 0
+
 Interval = tuple[float, float, float]
 
 
@@ -40,7 +42,7 @@ def measure_astigmatism(places: Sequence[Place]) -> float:
         noise = np.mean([(LEAN_NOISE * one.error) ** 2 for one in leans])
         seen = np.mean([one.value**2 for one in leans])
         return float(np.sqrt(max(seen - noise, noise * np.sqrt(2 / len(leans)))))
-    found = [_solve(place, np.inf)[0] for place in whole]
+    found = [_solve(place, 0.0)[0] for place in whole]
     differences = [(one[0] - one[1]) / (one[0] + one[1]) for one in found]
     return float(UNSEEN * np.sqrt(np.mean(np.square(differences)))) if found else 0.0
 
@@ -72,7 +74,7 @@ def _solve(place: Place, astigmatism: float):
 
     Least squares for the ellipse's numbers along rows, along columns and between them.
     """
-    lines = place.across, place.down
+    lines = [line for line in (place.across, place.down) if line is not None]
     halves = np.array([line.mtf50 for line in lines])
     seen = halves[:, 0] ** -2
     middle = np.sqrt(seen.prod())
@@ -82,14 +84,14 @@ def _solve(place: Place, astigmatism: float):
     system = [[1 - first, first, one], [second, 1 - second, -two], [0, 0, 1]]
     wanted = [*seen, 0.0]
     reaches = [*((halves[:, 2] - halves[:, 0]) * 2 / halves[:, 0] ** 3)]
-    reaches.append(max(1.96 * astigmatism, 1e-9) * middle)
+    reaches.append(max(1.96 * astigmatism, NO_LEAN) * middle)
     if place.lean is not None:
         turned = np.sin(2 * place.lean.turn) / 2
         system.append([-turned, turned, np.cos(2 * place.lean.turn)])
         wanted.append(place.lean.value * middle)
         error = np.hypot(LEAN_NOISE * place.lean.error, LEAN_MODEL * astigmatism)
         reaches.append(1.96 * float(error) * middle)
-    weights = 1 / np.minimum(reaches, 1e9 * middle)
+    weights = 1 / np.array(reaches)
     parts = np.array(system) * weights[:, None]
     normal = np.linalg.inv(parts.T @ parts)
     squares = (normal @ (parts.T @ (np.array(wanted) * weights)))[:2]

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from gpusim.domain.psf import PointSpread
-from gpusim.fit.edge_axes import mtf50_along_axes
+from gpusim.fit.edge_axes import measure_astigmatism, mtf50_along_axes
 from gpusim.fit.edge_fit import (
     DISCS,
     GAUSSIANS,
@@ -59,7 +59,8 @@ def spread_over_field(
     for letter in letters:
         own = [place for place in places if place.letter == letter]
         cutoff = WAVELENGTHS.get(letter, 550.0) * 1e-9 * f_number / pitch
-        weights = [point_weights(place, cutoff) for place in own]
+        lean = measure_astigmatism(own)
+        weights = [point_weights(place, cutoff, lean) for place in own]
         excess = lateral_color.get(letter, (0.0, 0.0))
         tables.append(_sample_spreads(own, weights, cutoff, fine, nodes, shape, excess))
     values = _trim(np.stack(tables, axis=-3), fine)
@@ -130,18 +131,19 @@ def _point_transfers(fx, fy, cutoff):
     return plain * diffraction(np.hypot(fx, fy), cutoff)
 
 
-def point_weights(place: Place, cutoff: float) -> np.ndarray:
+def point_weights(place: Place, cutoff: float, astigmatism: float = 0.0) -> np.ndarray:
     """Return weights of elliptical Gaussians and discs whose transfers along rows and columns are a place's.
 
     Args:
         place: The place. A direction without an edge has the other's blur.
         cutoff: Wavelength times f-number over the pitch [1].
+        astigmatism: See `mtf50_along_axes`.
 
     Returns:
         Weights, sum 1.
     """
     lines = [line for line in (place.across or place.down, place.down or place.across) if line]
-    halves = [one and one[0] for one in mtf50_along_axes(place, 0.0)]
+    halves = [one and one[0] for one in mtf50_along_axes(place, astigmatism)]
     ends = [line.mtf50[0] for line in lines]
     # an edge's transfer along its normal, stretched to the MTF50 along the axis
     stretches = [end / (half or end) for end, half in zip(ends, halves, strict=True)]

@@ -381,12 +381,12 @@ def _plots(places, shape):
     def draw_field(figure):
         axes = figure.subplots()
         main = main_channel(list(dict.fromkeys(place.letter for place in places)))
-        for place in places:
-            if place.letter != main:
-                continue
+        own = [place for place in places if place.letter == main]
+        astigmatism = measure_astigmatism(own)
+        for place in own:
             words = [
                 f"{one[0]:.3f}{sign}"
-                for one, sign in zip(mtf50_along_axes(place, 0.0), "↔↕", strict=True)
+                for one, sign in zip(mtf50_along_axes(place, astigmatism), "↔↕", strict=True)
                 if one is not None
             ]
             axes.text(place.col, place.row, "\n".join(words), ha="center", va="center", fontsize=8)
