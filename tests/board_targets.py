@@ -35,17 +35,29 @@ def rotation(rx, ry, rz):
     )
 
 
+def without_lateral_color(x, y, excess, corner):
+    """Undo x (1 + k0 + k1 (r / corner)^2) by a fixed point. excess: k0, or k0 and k1."""
+    first, growth = np.append(excess, 0.0)[:2]
+    u, v = x, y
+    for _ in range(8):
+        factor = 1 + first + growth * (u * u + v * v) / corner**2
+        u, v = x / factor, y / factor
+    return u, v
+
+
 def view(size, matrix, coefficients, turn, shift, squares, excess=0.0, fine=3, blur=0.6):
     """One view, (rows, cols), 0 dark to 1 light.
 
-    size: (cols, rows). squares: across and down the board, squares of side 1. excess: of the image height.
-    blur: [pixel] standard deviation of a Gaussian.
+    size: (cols, rows). squares: across and down the board, squares of side 1. excess: of the image height; a pair: on
+    the axis, and what the corner has more, as the square of the height. blur: [pixel] standard deviation of a Gaussian.
     """
     cols, rows = size
     fx, fy, cx, cy = matrix
     # undone at every 16th pixel, a smooth function in between
     px, py = np.arange(-16.0, cols + 17, 16), np.arange(-16.0, rows + 17, 16)
-    x, y = np.meshgrid((px - cx) / fx / (1 + excess), (py - cy) / fy / (1 + excess))
+    x, y = np.meshgrid(px - cx, py - cy)
+    x, y = without_lateral_color(x, y, excess, np.hypot(cols, rows) / 2)
+    x, y = x / fx, y / fy
     at_x = (np.arange(cols * fine) + 0.5) / fine - 0.5
     at_y = (np.arange(rows * fine) + 0.5) / fine - 0.5
     u, v = (RectBivariateSpline(py, px, one)(at_y, at_x) for one in undistort(x, y, coefficients))

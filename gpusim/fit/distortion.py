@@ -16,9 +16,13 @@ from gpusim.fit.bundle import (
     choose_views,
     displacement_error,
     drop_strays,
-    jackknife_reach,
 )
 from gpusim.fit.estimate import Estimate, Part, Plot
+from gpusim.fit.lateral_color import (
+    describe_varying,
+    lateral_estimates,
+    measure_lateral_color,
+)
 from gpusim.fit.planes import WAVELENGTHS, checked_frames, main_channel
 from gpusim.io.raw.raw_frame import RawFrame
 
@@ -93,7 +97,7 @@ def fit_distortion(
             "it still, and for a fisheye calibrate with cv2.fisheye and give optics.calibration"
         )
     sources = tuple(one.name for one in boards)
-    lateral = _lateral_color(boards, found, main_channel(every[0].channels), sources)
+    lateral = measure_lateral_color(boards, found.matrix[:2, 2], (cols, rows))
     largest = Estimate(
         *displacement_error(found, (cols, rows)),
         "pixel",
@@ -102,11 +106,15 @@ def fit_distortion(
     )
     return Part(
         "distortion",
-        _estimates(found, sources) | {ERROR: largest} | lateral,
+        _estimates(found, sources)
+        | {ERROR: largest}
+        | lateral_estimates(lateral, (cols, rows), main_channel(every[0].channels), sources),
         _settings(found, (cols, rows), lateral, main_channel(every[0].channels)),
         _plots(boards, found, (cols, rows)),
         _describe_misfit(boards, found, (rows, cols), spread),
-        tuple(faults) + _unknown(boards, found, (rows, cols), focal_length, largest.high),
+        tuple(faults)
+        + _unknown(boards, found, (rows, cols), focal_length, largest.high)
+        + describe_varying(lateral, (cols, rows)),
     )
 
 
@@ -127,51 +135,6 @@ def _estimates(found: Geometry, sources):
     return estimates
 
 
-def _lateral_color(boards: list[Board], found: Geometry, main, sources):
-    """Return the excess of image height of each other channel, least squares over all corners."""
-    estimates = {}
-    for letter in boards[0].offsets:
-        value, reach = _excess(boards, letter, found.matrix[:2, 2])
-        estimates[f"optics.lateral_color of {letter}"] = Estimate(
-            value,
-            value - reach,
-            value + reach,
-            "",
-            sources,
-            f"image height over {main}'s, minus one",
-        )
-    return estimates
-
-
-def _excess(boards: list[Board], letter, middle):
-    """Return a channel's excess of image height and the half width of its interval.
-
-    offset = excess * position + a shift of the whole channel
-    """
-    parts = []
-    for one in boards:
-        ones, zeros = np.ones(len(one.places)), np.zeros(len(one.places))
-        x, y = (one.corners - middle).T
-        parts.append(np.concatenate([np.stack([x, ones, zeros], 1), np.stack([y, zeros, ones], 1)]))
-    seen = [one.offsets[letter].T.ravel() for one in boards]
-    solved, scale = np.zeros(3), np.inf
-    for _ in range(6):  # Huber's weights against corners that failed
-        left = [own - part @ solved for own, part in zip(seen, parts, strict=True)]
-        weights = [np.minimum(1, 1.5 * scale / np.maximum(np.abs(one), 1e-12)) for one in left]
-        normals = [(p * w[:, None]).T @ p for p, w in zip(parts, weights, strict=True)]
-        pulls = [p.T @ (w * own) for p, w, own in zip(parts, weights, seen, strict=True)]
-        solved = np.linalg.solve(sum(normals), sum(pulls))
-        scale = 1.4826 * np.median(np.abs(np.concatenate(left))) + 1e-9
-    reach = 1.96 * scale * np.sqrt(np.linalg.inv(sum(normals))[0, 0])
-    if len(boards) >= ENOUGH_VIEWS:
-        others = [
-            np.linalg.solve(sum(normals) - normal, sum(pulls) - pull)
-            for normal, pull in zip(normals, pulls, strict=True)
-        ]
-        reach = max(reach, jackknife_reach(np.array(others))[0])
-    return float(solved[0]), float(reach)
-
-
 def _settings(found: Geometry, size, lateral, main):
     calibration = {
         "width": size[0],
@@ -184,8 +147,8 @@ def _settings(found: Geometry, size, lateral, main):
     Calibration.of(found.matrix, found.coefficients, size)  # its own checks
     optics: dict = {"calibration": calibration}
     excess = {WAVELENGTHS.get(main, 550.0): 0.0}
-    for key, estimate in lateral.items():
-        excess[WAVELENGTHS.get(key[-1], 550.0)] = estimate.value
+    for letter, curve in lateral.items():
+        excess[WAVELENGTHS.get(letter, 550.0)] = curve.mean(size)[0]
     if len(excess) > 1:
         optics["lateral_color"] = {
             "wavelengths_nm": sorted(excess),

@@ -14,6 +14,7 @@ import scipy
 
 from gpusim.domain.errors import BadData
 from gpusim.domain.short_repr import short_repr
+from gpusim.fit.edge_corners import Lean
 from gpusim.fit.edge_finding import FoundEdge
 
 BINS = 8  # per pixel along the normal
@@ -23,11 +24,41 @@ MOST = 20000  # pixels that determine an edge's line
 BLOCKS = 10  # along an edge, one left out at a time for intervals
 GAUSSIANS = np.append(0.0, np.geomspace(0.15, 10, 10))  # standard deviations [pixel]
 DISCS = np.geomspace(0.4, 14, 9)  # radii [pixel]
-FLOOR = 0.008  # relative error of MTF50 that the mixture itself makes, without noise
-RIDGE = (
-    0.17  # weight of the weights' squares: noise must not make a mixture of sharp and wide spreads
-)
+FLOOR = 0.006  # relative error of MTF50 that the mixture itself makes, without noise
+BLOCKED = 0.85  # standard deviation over the jackknife's, which non-negative weights make too large
+# weight of the weights' squares over a pixel's noise, which must not make a mixture of sharp and wide spreads
+RIDGE = 12.0
+LEAST_NOISE = 5e-4  # over the step
 FASTEST = 6.0  # [cycle/pixel] the pixel's own transfer leaves 1e-3 beyond
+
+
+@dataclass(frozen=True)
+class EdgeLine:
+    """The line of an edge, which may bend.
+
+    Args:
+        row, col: A point near its middle [pixel].
+        angle: Of the normal to the lighter side, from the columns' axis x towards rows [rad].
+        shift: Of the line from the point along the normal [pixel].
+        bend: Distance of the middle from the ends' chord, 1 at half the length [pixel].
+        half: Half of the length [pixel].
+    """
+
+    row: float
+    col: float
+    angle: float
+    shift: float
+    bend: float
+    half: float
+
+    __repr__ = short_repr
+
+    def place(self, rows: np.ndarray, cols: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return distances of pixels along the normal and along the edge [pixel]."""
+        x, y = cols - self.col, rows - self.row
+        d = x * np.cos(self.angle) + y * np.sin(self.angle)
+        t = y * np.cos(self.angle) - x * np.sin(self.angle)
+        return d - self.shift - self.bend * ((t / self.half) ** 2 - 1 / 3), t
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +69,14 @@ class EdgeSamples:
         distance: From the edge along its normal [pixel], shape (N,).
         values: Evened values, shape (N,).
         block: Number of the part of the edge's length, shape (N,).
-        angle: Of the normal [rad].
+        line: The edge's line.
         levels: Dark and light value.
     """
 
     distance: np.ndarray
     values: np.ndarray
     block: np.ndarray
-    angle: float
+    line: EdgeLine
     levels: tuple[float, float]
 
     __repr__ = short_repr
@@ -92,29 +123,25 @@ def read_edge(values: np.ndarray, mask: np.ndarray, edge: FoundEdge) -> EdgeSamp
     """
     rows, cols, _ = _cut(mask, edge)
     seen = values[rows, cols]
-    x, y = cols - edge.col, rows - edge.row
     if len(seen) < 200:
         raise BadData(f"{len(seen)} pixels of the channel around an edge, wanted 200 or more")
     chosen = np.linspace(0, len(seen) - 1, min(MOST, len(seen))).astype(int)
     half = edge.length / 2
 
-    def place(params, x, y):
-        angle, shift, bend = params[:3]
-        d = x * np.cos(angle) + y * np.sin(angle)
-        t = y * np.cos(angle) - x * np.sin(angle)
-        return d - shift - bend * ((t / half) ** 2 - 1 / 3), t
+    def line(params):
+        return EdgeLine(edge.row, edge.col, *map(float, params[:3]), half)
 
-    def model(params, x, y):
-        d, t = place(params, x, y)
+    def model(params, rows, cols):
+        d, t = line(params).place(rows, cols)
         step = 0.5 * scipy.special.erfc(-d / (np.sqrt(2) * np.exp(params[3])))
         return (params[4] + (params[5] - params[4]) * step) * (1 + params[6] * t / half)
 
-    d, _ = place((edge.angle, 0.0, 0.0), x, y)
+    d, _ = line((edge.angle, 0.0, 0.0)).place(rows, cols)
     dark, bright = np.median(seen[d < -edge.width / 3]), np.median(seen[d > edge.width / 3])
     scale = bright - dark
     start = np.array([edge.angle, 0.0, 0.0, 0.0, dark / scale, bright / scale, 0.0])
     found = scipy.optimize.least_squares(
-        lambda p: model(p, x[chosen], y[chosen]) - seen[chosen] / scale,
+        lambda p: model(p, rows[chosen], cols[chosen]) - seen[chosen] / scale,
         start,
         bounds=(
             start - np.array([0.2, 6, 6, 4, np.inf, np.inf, 1]),
@@ -124,10 +151,10 @@ def read_edge(values: np.ndarray, mask: np.ndarray, edge: FoundEdge) -> EdgeSamp
         loss="soft_l1",
         f_scale=0.1,
     ).x
-    d, t = place(found, x, y)
+    d, t = line(found).place(rows, cols)
     even = seen / (1 + found[6] * t / half)
     block = np.clip(((t / edge.length + 0.5) * BLOCKS).astype(int), 0, BLOCKS - 1)
-    return EdgeSamples(d, even / scale, block, float(found[0]), (float(found[4]), float(found[5])))
+    return EdgeSamples(d, even / scale, block, line(found), (float(found[4]), float(found[5])))
 
 
 def _cut(mask, edge):
@@ -247,7 +274,7 @@ class LineSpread:
         others = np.array([falls_to_half(f, weights @ table) for weights in self.resamples])
         count = len(others)
         error = np.sqrt((count - 1) / count * ((others - others.mean()) ** 2).sum())
-        reach = scipy.special.stdtrit(count - 1, 0.975) * np.hypot(error, FLOOR * value)
+        reach = 1.96 * np.hypot(BLOCKED * error, FLOOR * value)
         return value, max(value - reach, 0.0), value + reach
 
 
@@ -262,7 +289,10 @@ def falls_to_half(frequency: np.ndarray, response: np.ndarray) -> float:
 
 
 def fit_line(
-    edges: list[EdgeSamples], cutoff: float, aperture: tuple[float, float] = (1.0, 1.0)
+    edges: list[EdgeSamples],
+    cutoff: float,
+    aperture: tuple[float, float] = (1.0, 1.0),
+    main: LineSpread | None = None,
 ) -> LineSpread:
     """Fit the blur along one direction to the edges that show it.
 
@@ -270,6 +300,7 @@ def fit_line(
         edges: Their pixels; all normals near rows, or all near columns.
         cutoff: See `diffraction`.
         aperture: Height and width of the pixel's aperture over the pitch.
+        main: Blur of the channel of most light, which is likely to be near; None: not known.
 
     Returns:
         The blur.
@@ -277,9 +308,16 @@ def fit_line(
     tables = []
     for edge in edges:
         place, sums, counts = edge.bin_values
-        tables.append((_edge_spreads(edge.angle, place, cutoff, aperture), sums, counts))
-    whole = _solve(tables, np.ones(BLOCKS, bool))
-    parts = np.stack([_solve(tables, np.arange(BLOCKS) != left) for left in range(BLOCKS)])
+        tables.append((_edge_spreads(edge.line.angle, place, cutoff, aperture), sums, counts))
+    ridge = RIDGE * max(LEAST_NOISE, float(np.mean([edge.noise for edge in edges])))
+    likely = np.zeros((BLOCKS + 1, len(tables[0][0])))
+    if main is not None:
+        step = np.mean([edge.levels[1] - edge.levels[0] for edge in edges])
+        likely = step * np.vstack([main.resamples, main.weights])
+    whole = _solve(tables, np.ones(BLOCKS, bool), likely[-1], ridge)
+    parts = np.stack(
+        [_solve(tables, np.arange(BLOCKS) != left, likely[left], ridge) for left in range(BLOCKS)]
+    )
     count = len(tables[0][0])
     weights, own = whole[:count], parts[:, :count]
     residual, noise = [], []
@@ -289,8 +327,8 @@ def fit_line(
         residual.append(np.stack([edge.bin_values[0], left]))
         noise.append(edge.noise**2 / weights.sum() ** 2 / n)
     together = np.concatenate(residual, axis=1)
-    is_across = abs(np.cos(edges[0].angle)) > np.sqrt(0.5)
-    turns = [(edge.angle + np.pi / 4) % (np.pi / 2) - np.pi / 4 for edge in edges]
+    is_across = abs(np.cos(edges[0].line.angle)) > np.sqrt(0.5)
+    turns = [(edge.line.angle + np.pi / 4) % (np.pi / 2) - np.pi / 4 for edge in edges]
     return LineSpread(
         cutoff,
         aperture[int(is_across)],
@@ -304,8 +342,12 @@ def fit_line(
     )
 
 
-def _solve(tables, used):
-    """Return weights of the mixture, then the dark level of each edge. used: blocks, shape (BLOCKS,)."""
+def _solve(tables, used, likely, ridge):
+    """Return weights of the mixture, then the dark level of each edge.
+
+    used: blocks, shape (BLOCKS,). likely: weights that are taken if the pixels do not tell, shape (A,).
+    ridge: weight of the differences from them.
+    """
     rows, wanted = [], []
     for number, (table, sums, counts) in enumerate(tables):
         n = counts[used].sum(0)
@@ -315,8 +357,8 @@ def _solve(tables, used):
         rows.append(np.hstack([table.T, dark]) * root[:, None])
         wanted.append(np.divide(sums[used].sum(0), root, out=np.zeros(len(n)), where=n > 0))
     count, columns = len(tables[0][0]), rows[0].shape[1]
-    rows.append(RIDGE * np.eye(count, columns))
-    wanted.append(np.zeros(count))
+    rows.append(ridge * np.eye(count, columns))
+    wanted.append(ridge * likely)
     # the same problem with as many rows as columns
     both = np.hstack([np.concatenate(rows), np.concatenate(wanted)[:, None]])
     triangle = np.linalg.qr(both, mode="r")
@@ -332,6 +374,7 @@ class Place:
         letter: The channel.
         across, down: Blur along rows and along columns; None: no edge shows it.
         sources: Names of the files.
+        lean: Of the blur between rows and columns; None: no corners of squares show it.
     """
 
     row: float
@@ -340,5 +383,6 @@ class Place:
     across: LineSpread | None
     down: LineSpread | None
     sources: tuple[str, ...] = ()
+    lean: Lean | None = None
 
     __repr__ = short_repr

@@ -6,7 +6,7 @@ import numpy as np
 import scipy
 
 from gpusim.domain.psf import PointSpread
-from gpusim.fit.edge_axes import mtf50_along_axes
+from gpusim.fit.edge_axes import measure_astigmatism, mtf50_along_axes
 from gpusim.fit.edge_fit import (
     DISCS,
     GAUSSIANS,
@@ -23,6 +23,7 @@ SHORTEST_WAVE = 400e-9  # [m] that the samples of a point spread must determine
 LOST = 3e-3  # of the energy outside a point spread's array
 WINDOW = 32  # [pixel] on each side of a point spread at most
 NODES = 5  # of the grid over the longer side of the frame
+TOGETHER = 0.2  # of the nodes' distance within which targets stand in one row
 FIELD_ENDS = 300.0, 1100.0  # [nm] within which the outermost channels' spreads continue
 UNLIKE = 0.03  # relative difference of the channels' MTF50 from which each has its own spread
 
@@ -32,7 +33,7 @@ def spread_over_field(
     shape: tuple[int, int],
     pitch: float,
     f_number: float,
-    lateral_color: dict[str, float],
+    lateral_color: dict[str, tuple[float, float]],
 ) -> PointSpread:
     """Return point spreads on a grid over the frame.
 
@@ -53,13 +54,14 @@ def spread_over_field(
     letters.sort(key=lambda letter: WAVELENGTHS.get(letter, 550.0))
     fine = int(np.ceil(2 * pitch / (SHORTEST_WAVE * f_number)))
     spots = list({(place.row, place.col) for place in places if place.letter == main})
-    nodes = _nodes(shape) if len(spots) > 1 or lateral_color else None
+    nodes = _nodes(shape, spots) if len(spots) > 1 or lateral_color else None
     tables = []
     for letter in letters:
         own = [place for place in places if place.letter == letter]
         cutoff = WAVELENGTHS.get(letter, 550.0) * 1e-9 * f_number / pitch
-        weights = [point_weights(place, cutoff) for place in own]
-        excess = lateral_color.get(letter, 0.0)
+        lean = measure_astigmatism(own)
+        weights = [point_weights(place, cutoff, lean) for place in own]
+        excess = lateral_color.get(letter, (0.0, 0.0))
         tables.append(_sample_spreads(own, weights, cutoff, fine, nodes, shape, excess))
     values = _trim(np.stack(tables, axis=-3), fine)
     waves = [WAVELENGTHS.get(letter, 550.0) for letter in letters]
@@ -91,10 +93,22 @@ def _channels_differ(places, main):
     return False
 
 
-def _nodes(shape):
-    """Return rows and columns of the grid's nodes, evenly from edge to edge of the frame."""
+def _nodes(shape, spots):
+    """Return rows and columns of the grid's nodes, from edge to edge of the frame.
+
+    If targets stand in rows and columns, their places are nodes; otherwise nodes are even.
+    """
     step = max(shape) / (NODES - 1)
-    return [np.linspace(-0.5, n - 0.5, max(3, round(n / step) + 1)) for n in shape]
+    found = []
+    for n, at in zip(shape, np.transpose(spots), strict=True):
+        order = np.sort(at)
+        lines = np.split(order, np.flatnonzero(np.diff(order) > TOGETHER * step) + 1)
+        is_aligned = all(np.ptp(line) < TOGETHER * step for line in lines)
+        if is_aligned and 1 < len(lines) <= NODES:
+            found.append(np.array([-0.5, *(line.mean() for line in lines), n - 0.5]))
+        else:
+            found.append(np.linspace(-0.5, n - 0.5, max(3, round(n / step) + 1)))
+    return found
 
 
 def _pairs():
@@ -117,18 +131,19 @@ def _point_transfers(fx, fy, cutoff):
     return plain * diffraction(np.hypot(fx, fy), cutoff)
 
 
-def point_weights(place: Place, cutoff: float) -> np.ndarray:
+def point_weights(place: Place, cutoff: float, astigmatism: float = 0.0) -> np.ndarray:
     """Return weights of elliptical Gaussians and discs whose transfers along rows and columns are a place's.
 
     Args:
         place: The place. A direction without an edge has the other's blur.
         cutoff: Wavelength times f-number over the pitch [1].
+        astigmatism: See `mtf50_along_axes`.
 
     Returns:
         Weights, sum 1.
     """
     lines = [line for line in (place.across or place.down, place.down or place.across) if line]
-    halves = [one and one[0] for one in mtf50_along_axes(place, 0.0)]
+    halves = [one and one[0] for one in mtf50_along_axes(place, astigmatism)]
     ends = [line.mtf50[0] for line in lines]
     # an edge's transfer along its normal, stretched to the MTF50 along the axis
     stretches = [end / (half or end) for end, half in zip(ends, halves, strict=True)]
@@ -171,10 +186,10 @@ def _sample_spreads(places, weights, cutoff, fine, nodes, shape, excess):
         for j, col in enumerate(cols):
             mixed = _shares(spots, row, col) @ np.array(weights)[:, used]
             otf = np.tensordot(mixed, atoms, 1)
-            down, across = (
-                excess * (at - (n - 1) / 2) if nodes is not None else 0.0
-                for at, n in zip((row, col), shape, strict=True)
-            )
+            away = np.array([row, col]) - (np.array(shape) - 1) / 2
+            away *= nodes is not None
+            height = np.hypot(*away) / (np.hypot(*shape) / 2)
+            down, across = (excess[0] + excess[1] * height**2) * away
             otf = otf * np.exp(-2j * np.pi * (fy[:, None] * down + fx[None, :] * across))
             spread = np.fft.fftshift(np.fft.irfft2(otf, (size, size)))
             middle = size // 2

@@ -10,14 +10,13 @@ from gpusim.domain.errors import BadData
 from gpusim.fit.color import fit_color
 from gpusim.fit.distortion import fit_distortion
 from gpusim.fit.estimate import Part
+from gpusim.fit.lateral_color import lateral_curves
 from gpusim.fit.planes import channel_blocks, light_values, main_channel
 from gpusim.fit.shading import falloff_map, fit_shading, measure_shading
 from gpusim.fit.sharpness import fit_sharpness
 from gpusim.fit.shots import Known, Shot
 from gpusim.fit.tone import fit_tone, ramp_light
 from gpusim.io.raw.raw_frame import RawFrame
-
-LATERAL = "optics.lateral_color of "
 
 
 def chart_part(shots: Sequence[Shot], known: Known) -> Part:
@@ -126,11 +125,7 @@ def shared_results(kind: str, shots: Sequence[Shot], part: Part, known: Known) -
         shape = frames[0].values.shape
         return {"falloff": falloff_map(found[main_channel(tuple(found))], shape)}
     if kind == "grid":
-        lateral = {
-            key.removeprefix(LATERAL): one.value
-            for key, one in part.estimates.items()
-            if key.startswith(LATERAL)
-        }
+        lateral = lateral_curves(part.estimates)
         return {"lateral_color": lateral} if lateral else {}
     return {}
 

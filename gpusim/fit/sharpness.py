@@ -2,15 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from gpusim.domain.errors import BadData, OutOfRange
 from gpusim.fit.edge_axes import measure_astigmatism, mtf50_along_axes
+from gpusim.fit.edge_corners import Corner, fit_lean, pool_leans, read_corner
 from gpusim.fit.edge_finding import STEEPEST, FoundEdge, find_edges
 from gpusim.fit.edge_fit import (
     EdgeSamples,
+    LineSpread,
     Place,
     fit_line,
     read_edge,
@@ -89,6 +92,7 @@ class _Target:
     col: float
     size: float
     samples: dict[tuple[str, bool], list[EdgeSamples]]
+    corners: dict[str, list[Corner]]
     sources: list[str]
 
 
@@ -100,16 +104,30 @@ def _gather(targets: list[_Target], frame, values, edges, faults):
         row, col = np.mean([(edge.row, edge.col) for edge in own], axis=0)
         size = max(edge.length for edge in own)
         same = [one for one in targets if np.hypot(one.row - row, one.col - col) < SAME * size]
-        target = same[0] if same else _Target(float(row), float(col), size, {}, [])
-        for edge in own:
-            for letter, mask in masks.items():
-                sample = _sample(values, mask, edge, frame, faults)
-                if sample is not None:
-                    target.samples.setdefault((letter, edge.is_upright), []).append(sample)
+        target = same[0] if same else _Target(float(row), float(col), size, {}, {}, [])
+        for letter, mask in masks.items():
+            seen = [
+                (edge, sample)
+                for edge in own
+                if (sample := _sample(values, mask, edge, frame, faults)) is not None
+            ]
+            for edge, sample in seen:
+                target.samples.setdefault((letter, edge.is_upright), []).append(sample)
+            target.corners.setdefault(letter, []).extend(_corners(values, mask, seen))
         if target.samples and not same:
             targets.append(target)
         if target.samples and frame.name not in target.sources:
             target.sources.append(frame.name)
+
+
+def _corners(values, mask, seen):
+    """Return the corners between edges of an outline."""
+    pairs = product(*([one for one in seen if one[0].is_upright is way] for way in (True, False)))
+    found = (
+        read_corner(values, mask, (one, two), (first.line, second.line))
+        for (one, first), (two, second) in pairs
+    )
+    return [corner for corner in found if corner is not None]
 
 
 def _sample(values, mask, edge, frame, faults):
@@ -130,19 +148,30 @@ def _sample(values, mask, edge, frame, faults):
 
 def _places(target: _Target, scale, aperture):
     """Return the blur of each channel of a target."""
-    found = []
-    for letter in dict.fromkeys(letter for letter, _ in target.samples):
+    every = list(dict.fromkeys(letter for letter, _ in target.samples))
+    letters = sorted(every, key=lambda letter: letter != main_channel(every))
+    found: dict[str, list[LineSpread | None]] = {}
+    for letter in letters:
         cutoff = scale * WAVELENGTHS.get(letter, 550.0) * 1e-9
-        lines = [
-            fit_line(samples, cutoff, aperture)
+        leading = next(iter(found.values()), [None, None])
+        found[letter] = [
+            fit_line(samples, cutoff, aperture, main)
             if (samples := target.samples.get((letter, is_upright)))
             else None
-            for is_upright in (True, False)
+            for is_upright, main in zip((True, False), leading, strict=True)
         ]
-        found.append(
-            Place(target.row, target.col, letter, lines[0], lines[1], tuple(target.sources))
-        )
-    return found
+    lean = pool_leans(
+        [
+            fit_lean(target.corners[letter], across, down)
+            for letter, (across, down) in found.items()
+            if across and down
+        ]
+    )
+    sources = tuple(target.sources)
+    return [
+        Place(target.row, target.col, letter, across, down, sources, lean)
+        for letter, (across, down) in found.items()
+    ]
 
 
 def _usable(edges, frame, clipped):
@@ -202,7 +231,7 @@ def fit_sharpness(
     f_number: float | None = None,
     aperture: tuple[float, float] = (1.0, 1.0),
     falloff: np.ndarray | None = None,
-    lateral_color: dict[str, float] | None = None,
+    lateral_color: dict[str, tuple[float, float]] | None = None,
 ) -> Part:
     """Fit point spreads over the field to frames of slanted edges.
 
@@ -213,8 +242,9 @@ def fit_sharpness(
         f_number: See `measure_sharpness`.
         aperture: See `measure_sharpness`.
         falloff: See `measure_sharpness`.
-        lateral_color: Image height over the main channel's, minus one, by channel: point spreads that hold lateral
-            colour replace the key of that name.
+        lateral_color: Image height over the main channel's, minus one, by channel: on the axis, and what a corner
+            has more. It grows as the square of the height. Point spreads that hold lateral colour replace the key of
+            that name.
 
     Returns:
         MTF50 by channel and place, and point spreads over the field under optics.psf.
@@ -263,8 +293,8 @@ def _estimates(places):
 
 def _gaps(places, shape, pitch, number):
     lines = [
-        "blur between the directions of rows and columns, and its phase: edges of two directions do not show them; the "
-        "point spread is the roundest that fits, and symmetric"
+        "blur between the directions of rows and columns, and its phase: the point spread is the roundest that fits "
+        "the edges, and symmetric"
     ]
     if not number:
         lines.append(
@@ -279,6 +309,11 @@ def _gaps(places, shape, pitch, number):
             lines.append(
                 f"blur along {names[0]}: no edge shows it, that along {names[1]} is used; shoot squares"
             )
+    if any(_hides_lean(place) for place in places):
+        lines.append(
+            "astigmatism between rows and columns: edges are turned one way only and neighbouring corners are not "
+            "seen; shoot squares turned both ways, one way in half of the frames and the other way in the rest"
+        )
     farthest = max(np.hypot(*field_place(place.row, place.col, shape)) for place in places)
     if farthest < 0.8:
         lines.append(
@@ -286,6 +321,14 @@ def _gaps(places, shape, pitch, number):
             "over the whole field"
         )
     return tuple(lines)
+
+
+def _hides_lean(place: Place) -> bool:
+    """Return True if neither corners nor edges turned both ways show the blur between rows and columns."""
+    lines = place.across, place.down
+    if place.lean is not None or None in lines:
+        return False
+    return any(abs(line.turn) > 0.5 * line.tilt for line in lines if line)
 
 
 def _describe_misfit(places):
@@ -338,12 +381,12 @@ def _plots(places, shape):
     def draw_field(figure):
         axes = figure.subplots()
         main = main_channel(list(dict.fromkeys(place.letter for place in places)))
-        for place in places:
-            if place.letter != main:
-                continue
+        own = [place for place in places if place.letter == main]
+        astigmatism = measure_astigmatism(own)
+        for place in own:
             words = [
                 f"{one[0]:.3f}{sign}"
-                for one, sign in zip(mtf50_along_axes(place, 0.0), "↔↕", strict=True)
+                for one, sign in zip(mtf50_along_axes(place, astigmatism), "↔↕", strict=True)
                 if one is not None
             ]
             axes.text(place.col, place.row, "\n".join(words), ha="center", va="center", fontsize=8)

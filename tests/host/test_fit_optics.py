@@ -19,6 +19,7 @@ from gpusim.fit.color import fit_color
 from gpusim.fit.curve_prior import NODES, curve_prior
 from gpusim.fit.distortion import fit_distortion
 from gpusim.fit.falloff import fit_falloff
+from gpusim.fit.lateral_color import describe_varying, measure_lateral_color
 from gpusim.fit.planes import block_places
 from gpusim.fit.sensitivity import fit_sensitivity
 from gpusim.fit.shading import fit_shading
@@ -34,7 +35,7 @@ def grey(values, cfa=("Y",), name="a.dng", white=4095):
 
 
 def edge_frame(level=2000, angle=6.0, noise=4.0):
-    """A dark square behind a Gaussian of 0.7 pixel, analytic but for the pixel's quadrature."""
+    """A dark square behind a Gaussian of 0.7 pixel without diffraction, analytic but for the pixel's quadrature."""
     at = np.arange(120) - 59.5
     turn, soft = np.radians(angle), 0.7 * np.sqrt(2)
     seen = 0
@@ -51,7 +52,7 @@ def edge_frame(level=2000, angle=6.0, noise=4.0):
 
 
 def test_edges_give_their_mtf50():
-    part = fit_sharpness(edge_frame(), pitch=3e-6, f_number=2.0)
+    part = fit_sharpness(edge_frame(), pitch=6e-6, f_number=1.4)  # next to no diffraction
     f = np.linspace(0, 1, 4001)
     response = np.exp(-2 * np.pi**2 * 0.49 * f**2) * np.sinc(f)
     truth = np.interp(-0.5, -response, f)
@@ -66,6 +67,57 @@ def test_edges_of_a_mosaic_with_a_long_period():
     cfa = ("GGRGGB", "GGBGGR", "BRGRBG", "GGBGGR", "GGRGGB", "RBGBRG")
     part = fit_sharpness(replace(edge_frame(), cfa=cfa), pitch=3e-6, f_number=2.0)
     assert {key.split()[4] for key in part.estimates} == set("RGB")
+
+
+def test_corners_of_squares_show_astigmatism_between_rows_and_columns():
+    """A Gaussian whose axes are at 45 degrees: edges turned one way see it sharper, or less sharp, than rows do."""
+    rng = np.random.default_rng(7)
+
+    def otf(fx, fy):
+        return np.exp(-2 * np.pi**2 * 0.6 * (fx**2 + fy**2 + 2 * 0.5 * fx * fy))
+
+    seen = edges.expose(edges.transform(edges.square(np.radians(7), 72)), otf)
+    part = fit_sharpness(grey(rng.normal((0.2 + 0.6 * seen) * 2000 + 64, 8)))
+    for one in part.estimates.values():
+        assert one.value == pytest.approx(edges.mtf50(otf, True), rel=0.02)  # 6 % without corners
+    assert not any("both ways" in line for line in part.unknown)
+
+
+def test_hidden_astigmatism_is_unknown():
+    """Two edges and one corner, which may be as round as it is."""
+    frame = edge_frame()
+    part = fit_sharpness(replace(frame, values=frame.values[40:, 40:]))
+    assert any("squares turned both ways" in line for line in part.unknown)
+
+
+def test_point_spreads_hold_lateral_colour():
+    """A channel's spread is displaced by its excess, which grows to the corner."""
+    frame = replace(edge_frame(), cfa=("RG", "GB"))
+    part = fit_sharpness(frame, pitch=2e-6, f_number=4.0, lateral_color={"R": (0.01, 0.02)})
+    spread = part.settings["optics"]["psf"]
+    height = np.array([spread.grid[0][0], spread.grid[1][0]])
+    kernel = spread.at(*height)[np.argmin(np.abs(spread.wavelengths - 605))]
+    at = (np.arange(len(kernel)) - len(kernel) // 2) * spread.spacing / 2e-6
+    seen = np.array([at @ kernel.sum(axis) for axis in (1, 0)]) / kernel.sum()
+    radius = np.hypot(*height)
+    wanted = (0.01 + 0.02 * radius**2) * height * np.hypot(120, 120) / 2
+    assert seen == pytest.approx(wanted, abs=0.02)
+
+
+def test_lateral_colour_over_the_field():
+    size, middle = (640, 480), np.array([321.0, 238.0])
+    rng = np.random.default_rng(8)
+    boards_ = []
+    for k in range(4):
+        corners = rng.uniform(0, size, (40, 2))
+        away = corners - middle
+        factor = 1e-3 - 2e-3 * np.sum(away**2, axis=1) / 400**2
+        offsets = {"R": factor[:, None] * away + rng.normal(0, 0.01, away.shape)}
+        boards_.append(Board(f"{k}", rng.uniform(0, 9, (40, 2)), corners, offsets))
+    curve = measure_lateral_color(boards_, middle, size)["R"]
+    assert curve.values == pytest.approx([1e-3, -2e-3], abs=1e-4)
+    assert curve.largest_miss(size) > 0.2
+    assert "misses up to" in describe_varying({"R": curve}, size)[0]
 
 
 @pytest.mark.parametrize(

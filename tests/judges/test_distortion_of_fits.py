@@ -3,6 +3,8 @@
 No draw is left out: some boards end before the frame's corners. The seeds were run once, at the end.
 """
 
+from concurrent.futures import ProcessPoolExecutor
+
 import board_targets as boards
 import flat_targets as flats
 import numpy as np
@@ -21,6 +23,7 @@ GOAL = 0.2  # [pixel]
 SIZE = 640, 480
 COEFFICIENTS = "k1", "k2", "p1", "p2", "k3"
 CORNER_SEEDS = range(5400, 5500)
+LATERAL_SEEDS = range(7001, 7007)
 
 pytestmark = pytest.mark.slow
 
@@ -101,7 +104,8 @@ def board_frame(rng, size, matrix, truth, excess, cfa, name):
 
 def test_distortion_of_random_lenses():
     """Errors, and the error that the fit states of itself."""
-    found = [judge_distortion(seed) for seed in SEEDS]
+    with ProcessPoolExecutor() as pool:  # each takes half a minute
+        found = list(pool.map(judge_distortion, SEEDS))
     most = np.array([one[0].max() for one in found])
     hits = np.concatenate([one[1] for one in found])
     lateral = np.concatenate([one[2] for one in found])
@@ -125,6 +129,54 @@ def test_distortion_of_random_lenses():
     assert most.max() < GOAL
     assert hits.mean() > 0.93
     assert lateral.max() < 0.2
+
+
+def judge_lateral_color(seed):
+    """Errors of the shifts of R and B against G over the frame [pixel], the shifts, and hits of intervals."""
+    rng = np.random.default_rng(seed)
+    cols, rows = 640, 480
+    focal, corner = rng.uniform(0.8, 1.6) * cols, np.hypot(cols, rows) / 2
+    matrix = focal, focal, (cols - 1) / 2 + rng.normal(0, 5), (rows - 1) / 2 + rng.normal(0, 5)
+    edge = (corner / focal) ** 2
+    truth = np.array([rng.uniform(-0.08, 0.06) / edge, 0, *rng.normal(0, 4e-4, 2), 0])
+    curves = {letter: tuple(rng.normal(0, (1e-3, 2e-3))) for letter in "RB"} | {"G": (0.0, 0.0)}
+    frames = [
+        board_frame(rng, (cols, rows), matrix, truth, curves, ("RG", "GB"), f"grid_{k}.dng")
+        for k in range(10)
+    ]
+    part = fit_distortion(frames)
+    own = part.settings["optics"]["calibration"]
+    x, y = np.meshgrid(np.linspace(0, cols - 1, 33), np.linspace(0, rows - 1, 25))
+
+    def shifts(middle, curve):
+        u, v = x - middle[0], y - middle[1]
+        return (curve[0] + curve[1] * (u * u + v * v) / corner**2) * np.stack([u, v])
+
+    errors, sizes, hits = [], [], []
+    for letter in "RB":
+        rows_ = [
+            part.estimates[f"lateral colour {words} of {letter}"]
+            for words in ("on the axis", "of a corner over the axis")
+        ]
+        wanted = shifts(matrix[2:], curves[letter])
+        seen = shifts((own["cx"], own["cy"]), [one.value for one in rows_])
+        errors.append(np.hypot(*(seen - wanted)).max())
+        sizes.append(np.hypot(*wanted).max())
+        hits += [
+            one.low <= value <= one.high for one, value in zip(rows_, curves[letter], strict=True)
+        ]
+    return np.array(errors), np.array(sizes), np.array(hits)
+
+
+def test_lateral_colour_that_varies_over_the_field():
+    with ProcessPoolExecutor() as pool:
+        found = list(pool.map(judge_lateral_color, LATERAL_SEEDS))
+    errors, sizes, hits = (np.concatenate(one) for one in zip(*found, strict=True))
+    print(
+        f"lateral colour of {sizes.min():.2f} to {sizes.max():.2f} pixel: largest error in the frame "
+        f"{np.median(errors):.3f} (median), {errors.max():.3f} pixel (max); intervals hold {hits.sum()} of {len(hits)}"
+    )
+    assert errors.max() < 0.2
 
 
 def random_corners(rng, matrix, truth, name, noise=0.01):

@@ -31,7 +31,7 @@ def test_colour_of_mosaics(count, cfa):
 
 
 @pytest.mark.parametrize("cfa", [X_TRANS, QUAD, RCCB, CYGM, MONO])
-@pytest.mark.parametrize("seed", [9101, 9102, 9103])
+@pytest.mark.parametrize("seed", [9401, 9402, 9403])
 def test_sharpness_of_mosaics(seed, cfa):
     errors, hits, _ = judge_sharpness(seed, cfa=cfa)
     assert np.percentile(np.abs(errors), 95) < 0.02
