@@ -49,7 +49,7 @@ def test_errors_of_a_line_hold_its_misfit():
 
 def geometry(residuals):
     eye = np.eye(3)
-    return Geometry(eye, np.zeros(5), np.zeros(9), (), np.zeros(9), [residuals], True)
+    return Geometry(eye, np.zeros(5), np.zeros(9), (), (), np.zeros(9), [residuals], True)
 
 
 @pytest.mark.parametrize("strays, kept", [(1, 53), (0, 54), (20, 54)])
