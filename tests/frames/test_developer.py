@@ -80,7 +80,8 @@ def test_every_setting_develops_as_the_reference_does(device, settings):
     Steps that round to whole numbers (denoising and shading: 1 of 61439) may fall on either side, and the matrix's rows
     of absolute sum 3 and the demosaicking filters' of at most 2.5 enlarge that to 1.3e-4; all else is float32 roundings
     times conditions of 20 at most, below 4e-5. Learned filters are chosen by exact comparisons, all others are
-    continuous but for defects, which are found by exact ones too.
+    continuous but for defects, which are found by exact ones too. Matrix units of GPUs multiply the network's float16
+    numbers: 8.1e-3 of the peak by the stage's own case "half", which the matrix enlarges by 3.
     """
     camera = camera_with({"dead_pixels": 0.002}, **settings)
     scene = chart("colorchecker", size=(72, 48), light="A")
@@ -93,9 +94,11 @@ def test_every_setting_develops_as_the_reference_does(device, settings):
     linear, codes = (
         simulator.device.numpy(a) for a in ours.develop(simulator.device.array(raw, np.uint16))
     )
-    np.testing.assert_allclose(linear, wanted, atol=1.7e-4 * max(1.0, np.abs(wanted).max()))
+    is_half = settings.get("demosaic") == "network" and simulator.device.has_matrix_units
+    error = (3 * 8.1e-3 if is_half else 1.7e-4) * max(1.0, np.abs(wanted).max())
+    np.testing.assert_allclose(linear, wanted, atol=error)
     # a code is 3295 codes per unit of light at the steepest (sRGB at black), the tone curve no steeper
-    assert np.abs(codes.astype(int) - wanted_codes).max() <= 1
+    assert np.abs(codes.astype(int) - wanted_codes).max() <= 1 + 3295 * error * is_half
     alone = simulator.device.numpy(ours.codes(simulator.device.array(raw, np.uint16)))
     np.testing.assert_array_equal(alone, codes)
 

@@ -295,12 +295,14 @@ def cuda(tmp_path_factory):
 def test_every_plan_is_cuda_machine_code(tolerance, camera, size, cuda):
     simulator = planned("warp:cpu", camera, tolerance)
     plan, pattern = simulator.plan(gs.chart("ramp", size=size)), simulator.camera.sensor.cfa_indices
-    found = plan.find(Blur)  # or tiles
+    found = plan.find(Blur)
+    if found is None:
+        pytest.skip("a plan of tiles has no transforms of the whole frame")
     launch_all(
         cuda,
         plan.scene.samples,
         plan.period,
-        pattern if found and found.folded else np.zeros((1, 1), np.int32),
+        pattern if found.folded else np.zeros((1, 1), np.int32),
     )
 
 
