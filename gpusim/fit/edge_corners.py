@@ -160,7 +160,7 @@ def pool_leans(leans: Sequence[Lean | None]) -> Lean | None:
 
 
 class _Tables:
-    """Edge spreads, their slopes and the slope by the lean, for a pair of line spreads."""
+    """Edge spreads, their slopes and the slope along the lean, for a pair of line spreads."""
 
     def __init__(self, across: "LineSpread", down: "LineSpread"):
         middles = (FREQUENCIES[1:] + FREQUENCIES[:-1]) / 2
@@ -201,7 +201,7 @@ class _Tables:
         return solved[0] / solved[1], np.sqrt(variance * normal[0, 0]) / abs(solved[1])
 
     def _system(self, places, is_dark):
-        """Return the slopes of the light by the lean, the step, the level and the shifts of both edges, (N, 5)."""
+        """Return the slopes of the light along the lean, the step, the level and the shifts of both edges, (N, 5)."""
         away = np.abs(places)
         spreads = [
             0.5 + np.sign(d) * np.interp(a, self.at, one)

@@ -230,7 +230,7 @@ class _Posterior:
 
 
 def _expose(charts, state):
-    """Return the responses of all charts (M,), and their derivatives by the state (M, S)."""
+    """Return the responses of all charts (M,), and their derivatives along the state (M, S)."""
     count = len(charts[0].seen)
     size = len(NODES)
     growth = np.exp(state[: count * size].reshape(count, size))

@@ -108,3 +108,15 @@ def test_arrays_have_settings_and_stacks_have_frames(tmp_path):
     (tmp_path / "d.dng").write_bytes(b"II*\0" + bytes(20))
     with pytest.raises(gs.GpusimError):
         read_raw(tmp_path / "d.dng")
+
+
+@pytest.mark.parametrize(
+    "wrong, right", [("black", "black_level"), ("exposure_time", "exposure_time_s")]
+)
+def test_a_key_that_is_written_wrongly_is_refused(wrong, right, tmp_path):
+    """Arrays of other programs are left: those of photodiodes, for example."""
+    np.savez(tmp_path / "a.npz", dn=VALUES, **{wrong: 1.0})
+    with pytest.raises(gs.GpusimError, match=f"{wrong}: no key .* nearest is {right}"):
+        read_raw(tmp_path / "a.npz", cfa="bayer-rggb")
+    np.savez(tmp_path / "b.npz", dn=VALUES, electrons=VALUES, mean=VALUES, names=np.array(["left"]))
+    assert read_raw(tmp_path / "b.npz", cfa="bayer-rggb").values.shape == VALUES.shape

@@ -97,5 +97,6 @@ def test_a_fitted_camera_agrees_with_held_out_frames_and_differs_after_a_change(
         right.append(same.state)
         changed.append(other.state)
     assert right.count("agrees") >= 0.95 * len(right), right
-    assert right.count("differs") <= 1, right
     assert changed.count("differs") >= 0.95 * len(changed), changed
+    # not met: 1 of 60, whose hot pixels show in its flats only: darks of one exposure time cannot give them
+    assert "differs" not in right

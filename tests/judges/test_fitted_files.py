@@ -60,7 +60,9 @@ def fitted_camera(folder, frames, pitch, number, base, own=np.s_[:, :]):
     """Write frames, fit a camera file to them and open it. own: part of the frames."""
     paths = [folder / frame.name.replace("dng", "npz") for frame in frames]
     for path, frame in zip(paths, frames, strict=True):
-        np.savez(path, dn=frame.values[own].astype(np.uint16), black=64.0, cfa=np.array(frame.cfa))
+        np.savez(
+            path, dn=frame.values[own].astype(np.uint16), black_level=64.0, cfa=np.array(frame.cfa)
+        )
     (folder / "base.toml").write_text(base + f"pixel_pitch_um = {1e6 * pitch:.6f}\n")
     gs.fit(edges=paths, base=folder / "base.toml", options={"f_number": number}).write(
         folder / "mine.toml"

@@ -26,8 +26,8 @@ def test_distortion_of_mosaics(seed, cfa):
 def test_colour_of_mosaics(count, cfa):
     found = [judge_color(seed, cfa, count) for seed in range(9300, 9306)]
     most, held = report_color(f"{cfa[0]}, {count} light(s)", found)
-    assert most < (1.3 if count == 1 and cfa in (RCCB, CYGM) else 1)  # these two miss the goal of 1
     assert held >= 0.8  # of 12 statements of 97.5 %: 9 or fewer have a chance of 0.3 %
+    assert most < 1  # not met in one light: RCCB 1.24, CYGM 1.09
 
 
 @pytest.mark.parametrize("cfa", [X_TRANS, QUAD, RCCB, CYGM, MONO])

@@ -142,9 +142,9 @@ def test_mtf50_of_random_lenses():
         f"{100 * np.percentile(np.abs(simulated), 95):.2f} %, max {100 * np.abs(simulated).max():.2f} %"
     )
     assert np.percentile(np.abs(errors), 95) < 0.02
-    assert np.abs(errors).max() < 0.025  # one value misses the goal of 2 %
     assert np.percentile(np.abs(simulated), 95) < 0.02
     assert hits.mean() >= 0.95
+    assert np.abs(errors).max() < 0.02  # not met: 2.27 % in one of 360
 
 
 def test_squares_turned_both_ways_cancel_leaning_astigmatism():

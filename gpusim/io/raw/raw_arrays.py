@@ -1,5 +1,7 @@
 """Raw frames as arrays: .npy, .npz with settings, and TIFF planes."""
 
+import difflib
+
 import numpy as np
 
 from gpusim.domain.errors import BadFile, OutOfRange
@@ -19,6 +21,8 @@ NUMBERS = {  # keys of an .npz: field and factor to its unit
     "focal_length_mm": ("focal_length", 1e-3),
     "photons": ("photons", 1.0),
 }
+KEYS = (*VALUES, *NUMBERS, "cfa", "black_level", "camera")
+ALIKE = 0.62  # ratio of difflib: "black" for "black_level" has 0.625, other arrays such as "mean" 0.6 at most
 
 
 def read_array(path, frame: int) -> RawFrame:
@@ -80,8 +84,11 @@ def _key(path, stored):
 
 
 def _read_npz(path):
-    """Return values and settings of an .npz."""
+    """Return values and settings of an .npz; other arrays are left, but for keys that are written wrongly."""
     with open_archive(path) as stored:
+        for key in set(stored) - set(KEYS):
+            if near := difflib.get_close_matches(key[:100], KEYS, 1, ALIKE):
+                raise BadFile(path, f"{key}: no key of raw frames, the nearest is {near[0]}")
         values = stored[_key(path, stored)]
         settings = {}
         for key, (field, factor) in NUMBERS.items():
